@@ -32,6 +32,7 @@ from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edge
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide, Silhouette
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
+from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
 from wafer_viewer.reconstruct.z_jitter import jitter_effect_um
 
@@ -131,9 +132,12 @@ class PreparedField:
         return dataclasses.replace(self, stack=self.stack.part(rows, cols), frames=self.frames.part(rows, cols))
 
 
-def prepare_field(stack: FieldStack, recipe: Recipe = Recipe()) -> PreparedField:
-    """Select the frames, determine their corrections, and replace every `auto` of the recipe."""
-    frames = prepare(stack, recipe)
+def prepare_field(stack: FieldStack, recipe: Recipe = Recipe(), samples: FrameSamples | None = None) -> PreparedField:
+    """Select the frames, determine their corrections, and replace every `auto` of the recipe.
+
+    samples: measurements of single frames that are known already.
+    """
+    frames = prepare(stack, recipe, samples)
     return PreparedField(stack, frames, tune_recipe(frames, recipe))
 
 

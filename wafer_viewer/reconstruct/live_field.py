@@ -1,7 +1,8 @@
 """Incremental reconstruction of a field: frames are measured as they arrive.
 
-The focus volume of the entire field is stored, 2 bytes per pixel and frame, and the silhouettes of its walls. The map is bit-identical to the one that
-`reconstruct` makes of the finished stack.
+The focus volume of the entire field is stored, 2 bytes per pixel and frame, with the silhouettes of its walls and the
+measurements by which frames are judged. The map is bit-identical to the one that `reconstruct` makes of the finished
+stack.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     SilhouetteRows,
     silhouette_block,
 )
+from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 
 WHITE_COUNTS = 255
@@ -65,6 +67,7 @@ class LiveField:
         looks_for_edges = recipe.edges != "none"
         self._silhouette = Silhouette.empty(images.shape[1:]) if looks_for_edges else None
         self._silhouette_rows = SilhouetteRows.make(cols, images.dtype)
+        self._samples = FrameSamples(clipped_from(WHITE_COUNTS))
         self._came = np.zeros(len(images), np.bool_)
 
     @property
@@ -92,6 +95,8 @@ class LiveField:
             out.clipped[:] += volume.clipped
             _keep_better(curves, volume.best, volume.peak + np.uint16(first))
             self._add_silhouettes(rows, source, first)
+        for slot in slots.tolist():
+            self._samples.take(slot, self._images[slot])
         self._came[first:stop] = True
 
     def _add_silhouettes(self, rows: slice, source: StackSource, first: int) -> None:
@@ -107,7 +112,7 @@ class LiveField:
 
         If the pixels need correction after all, or frames are missing, the complete stack is searched again.
         """
-        field = prepare_field(stack, self._recipe)
+        field = prepare_field(stack, self._recipe, self._samples)
         if not self._is_complete(field):
             return reconstruct_from_peaks(field, search_peaks(field, threads=1)).height_map
         return reconstruct_from_peaks(field, self._found(field), silhouette=self._silhouette).height_map

@@ -12,7 +12,7 @@ estimated; a shift of the levels afterwards would leave half of the error, becau
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,17 +95,20 @@ class Flicker:
     rest: float
 
 
-def measure_flicker(images: Image, slots: NDArray[np.intp], white_counts: int, clipped_counts: int) -> Flicker:
-    """Measure the flicker of the frames `slots` in the order of z.
+FlickerCells = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Mean grey and clipped fraction of each cell of a frame, [row, col]."""
+
+
+def measure_flicker(cells: Sequence[FlickerCells], white_counts: int) -> Flicker:
+    """Measure the flicker of frames in the order of z from their cells.
 
     References
     ----------
     .. [1] P. H. C. Eilers, A perfect smoother, Anal. Chem. 75 (2003) 3631.
     """
-    none = Flicker(np.ones(len(slots)), 0.0, 0.0)
-    if len(slots) < FLICKER.least_frames or min(images.shape[1:]) < FLICKER.cells:
+    none = Flicker(np.ones(len(cells)), 0.0, 0.0)
+    if len(cells) < FLICKER.least_frames or not cells[0][0].size:
         return none
-    cells = [_cells(images[slot], clipped_counts) for slot in slots]
     sums, clipped = (np.stack(of_all) for of_all in zip(*cells, strict=True))
     usable = clipped.max(axis=0) <= FLICKER.most_clipped
     odd = np.indices(usable.shape).sum(axis=0) % 2 == 1
@@ -142,9 +145,11 @@ def divide_by_gain(part: Greys, factor: Real, out: UInt16s) -> None:
             of_row[x] = np.uint16(np.int32(min(full, np.float32(row[x]) * scale + half)))
 
 
-def _cells(frame: Image, clipped_counts: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean grey and clipped fraction of each cell [row, col] of a frame."""
+def flicker_cells(frame: Image, clipped_counts: int) -> FlickerCells:
+    """Return the cells of a frame, none where it is smaller than they are."""
     n = FLICKER.cells
+    if min(frame.shape) < n:
+        return np.zeros((0, 0)), np.zeros((0, 0))
     every = max(1, min(frame.size // FLICKER.sampled_px, len(frame) // n))
     rows = np.asarray(frame)[::every]
     high, wide = len(rows) // n, rows.shape[1] // n

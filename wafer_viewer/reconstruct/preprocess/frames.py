@@ -9,6 +9,7 @@ pixel, which must not slow down the rest of the field.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,7 @@ from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of, measure_displacements
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of, z_taps
 from wafer_viewer.reconstruct.preprocess.flicker import Flicker, divide_by_gain, fineness, measure_flicker
+from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws, faulty_frames, find_flaws
 from wafer_viewer.reconstruct.preprocess.torn_frames import torn_frames
 
@@ -144,12 +146,12 @@ class Frames:
         return dataclasses.replace(self, images=self.images[:, rows, cols], fusion=fusion, flaws=flaws, drift=drift)
 
 
-def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
+def prepare(stack: FieldStack, recipe: Recipe = Recipe(), samples: FrameSamples | None = None) -> Frames:
     """Select valid frames in order of rising z and determine the pixel corrections.
 
-    Absent slots, flashes, dead and torn frames are skipped. Raises ComputeError for pixels that are neither uint8 nor
-    uint16, for a z that is not a number, for frames that share a z, for fewer than three frames, and for exposures that
-    cannot be compared.
+    samples: measurements of frames of a single exposure that are known already. Absent slots, flashes, dead and torn
+    frames are skipped. Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is not a number,
+    for frames that share a z, for fewer than three frames, and for exposures that cannot be compared.
     """
     if stack.images.dtype.kind != "u" or stack.images.dtype.itemsize > 2:
         raise ComputeError(
@@ -162,12 +164,18 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     slots = present[order]
     white = _white_counts(stack, slots)
     clipped = clipped_from(white)
-    slots, faults = _sound_slots(stack, slots, white, clipped)
+    of_exposures = [FrameSamples(clipped) for _ in stack.exposures]
+    if samples is not None and samples.clipped_counts == clipped and not stack.brackets:
+        of_exposures = [samples]
+    slots, faults = _sound_slots(stack, slots, white, of_exposures)
     optics = stack.pixel_um, stack.optical_depth_um
     z_um, notes = np.asarray(stack.z_um, np.float64)[slots], (*_missing(stack, len(present)), *faults)
     frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
-    corrected = stack.exposures if recipe.flicker == "correct" else ()
-    flickers = [measure_flicker(one.images, slots, white, clipped) for one in corrected]
+    flickers = [
+        measure_flicker([of_frames.cells(int(slot), one.images[slot]) for slot in slots], white)
+        for one, of_frames in zip(stack.exposures, of_exposures, strict=True)
+        if recipe.flicker == "correct"
+    ]
     frames = _fused(stack, frames, white, flickers)
     frames = _without_flicker(frames, flickers, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
@@ -307,12 +315,16 @@ def _missing(stack: FieldStack, n_frames: int) -> tuple[str, ...]:
 
 
 def _sound_slots(
-    stack: FieldStack, slots: NDArray[np.intp], white_counts: int, clipped_counts: int
+    stack: FieldStack, slots: NDArray[np.intp], white_counts: int, samples: Sequence[FrameSamples]
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the slots without flashes and dead frames, and a sentence for each of those."""
-    faults = faulty_frames(stack.exposures, slots, white_counts, clipped_counts)
-    for one in stack.exposures:
-        faults |= torn_frames(one.images, slots[~np.isin(slots, list(faults))], white_counts)
+    exposures = list(zip(stack.exposures, samples, strict=True))
+    stats = [[of_frames.stats(int(slot), one.images[slot]) for slot in slots] for one, of_frames in exposures]
+    faults = faulty_frames(stats, slots, white_counts)
+    for one, of_frames in exposures:
+        tested = slots[~np.isin(slots, list(faults))]
+        bands = [of_frames.bands(int(slot), one.images[slot]) for slot in tested]
+        faults |= torn_frames(bands, tested, white_counts)
     sound = slots[~np.isin(slots, list(faults))]
     if len(sound) < MIN_FRAMES:
         return slots, ()

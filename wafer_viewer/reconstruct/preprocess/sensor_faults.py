@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.focus_stack import Bracket, Image
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 LEAST_FRAMES = 6
@@ -252,26 +252,35 @@ class FrameStats:
     energy: Stats
 
     @classmethod
-    def of(cls, images: Image, slots: NDArray[np.intp], clipped_counts: int) -> FrameStats:
-        """Measure the frames `slots` on a few rows each."""
-        rows = slice(None, None, max(1, images.shape[1] // FAULT.rows))
-        found = [_stats(images[slot, rows], clipped_counts) for slot in slots]
+    def of(cls, found: Sequence[FaultStats]) -> FrameStats:
+        """Join the statistics of all frames."""
         return cls(*np.array(found, np.float64).T)
 
 
+FaultStats = tuple[float, float, float]
+"""Mean grey, clipped fraction and focus energy of a frame."""
+
+
+def fault_stats(frame: Image, clipped_counts: int) -> FaultStats:
+    """Measure a frame on a few rows."""
+    rows = frame[:: max(1, len(frame) // FAULT.rows)]
+    slope = np.diff(rows.astype(np.float32), axis=1)
+    return float(rows.mean()), float(np.mean(rows >= clipped_counts)), float(np.vdot(slope, slope)) / max(1, slope.size)
+
+
 def faulty_frames(
-    exposures: Sequence[Bracket], slots: NDArray[np.intp], white_counts: int, clipped_counts: int
+    exposures: Sequence[Sequence[FaultStats]], slots: NDArray[np.intp], white_counts: int
 ) -> dict[int, str]:
     """Find the flashes and dead frames of a stack.
 
     Parameters
     ----------
-    exposures : Sequence[Bracket]
-        All exposures of the slots; a slot is faulty when it is in one of them.
+    exposures : Sequence[Sequence[tuple[float, float, float]]]
+        Statistics of the slots in all exposures; a slot is faulty when it is in one of them.
     slots : ndarray of int, [k]
         The slots in the order of z.
-    white_counts, clipped_counts : int
-        White of the camera, and the grey from which a pixel is clipped.
+    white_counts : int
+        White of the camera.
 
     Returns
     -------
@@ -282,14 +291,8 @@ def faulty_frames(
         return {}
     found: dict[int, str] = {}
     for one in exposures:
-        stats = FrameStats.of(one.images, slots, clipped_counts)
-        found |= {int(slots[k]): why for k, why in _faults(stats, white_counts)}
+        found |= {int(slots[k]): why for k, why in _faults(FrameStats.of(one), white_counts)}
     return found if len(found) <= FAULT.most_faulty * len(slots) else {}
-
-
-def _stats(rows: Image, clipped_counts: int) -> tuple[float, float, float]:
-    slope = np.diff(rows.astype(np.float32), axis=1)
-    return float(rows.mean()), float(np.mean(rows >= clipped_counts)), float(np.vdot(slope, slope)) / max(1, slope.size)
 
 
 def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:

@@ -9,6 +9,7 @@ is torn when it is no sharper than the same rows beside it, or when it looks lik
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,14 +71,14 @@ class TearParameters:
 TEAR = TearParameters()
 
 
-def torn_frames(images: Image, slots: NDArray[np.intp], white_counts: int) -> dict[int, str]:
+def torn_frames(bands: Sequence[Image], slots: NDArray[np.intp], white_counts: int) -> dict[int, str]:
     """Return what is wrong with each torn frame among `slots`, in the order of z; none where there are many.
 
-    Frames with fewer rows or columns than bands are not tested.
+    bands: from `sampled_bands` of these frames.
     """
-    if len(slots) < LEAST_FRAMES or min(images.shape[1:]) < TEAR.bands:
+    if len(slots) < LEAST_FRAMES or not bands[0].size:
         return {}
-    torn = _torn(images, slots, white_counts)
+    torn = _torn(np.stack(bands), white_counts)
     if len(torn) > TEAR.most_torn * len(slots):
         return {}
     return {
@@ -86,12 +87,11 @@ def torn_frames(images: Image, slots: NDArray[np.intp], white_counts: int) -> di
     }
 
 
-def _torn(images: Image, slots: NDArray[np.intp], white_counts: int) -> list[tuple[int, float]]:
+def _torn(raw: Image, white_counts: int) -> list[tuple[int, float]]:
     """Return the index along z and the torn fraction of each torn frame.
 
-    Frame by frame, so that a frame and the two before it stay in cache.
+    raw: sampled bands, [k, band, row, col]. Frame by frame, so that a frame and the two before it stay in cache.
     """
-    raw = np.stack([_bands(images[slot]) for slot in slots])
     level = np.stack([frame.astype(np.float32).mean(axis=(1, 2), keepdims=True) for frame in raw])
     bands = _Bands(raw, level, level.mean() / np.maximum(level, 1.0))
     off, across = np.empty((len(raw) - 1, raw.shape[1]), np.float32), np.empty((len(raw) - 2, raw.shape[1]), np.float32)
@@ -175,9 +175,11 @@ def _mean_square(one: Floats, other: Floats) -> Floats:
     return np.mean((one - other) ** 2, axis=(-2, -1))
 
 
-def _bands(frame: Image) -> Image:
-    """Return a sample of each band of rows, [band, row, col]."""
+def sampled_bands(frame: Image) -> Image:
+    """Return a sample of each band of rows of a frame, [band, row, col]; empty where it is smaller than the bands."""
     n_bands = TEAR.bands
+    if min(frame.shape) < n_bands:
+        return np.empty((n_bands, 0, 0), frame.dtype)
     high = len(frame) // n_bands
     n_rows = min(high, TEAR.sampled[0])
     rows = (np.arange(n_bands)[:, None] * high + np.linspace(0, high - 1, n_rows).astype(int)).ravel()
