@@ -373,9 +373,13 @@ def _rival_row(
 
 @lean_part
 def gather(curves: FocusCurves, y: Int, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch) -> None:
-    """Gather z and log2 of focus at the peaks of row y and on both sides of them."""
+    """Gather z and log2 of focus at the peaks of row y and on both sides of them; a centred peak takes its own."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
+    if how.estimator == _CENTRED:
+        for x in range(spots.top.size):
+            spots.top[x] = _log2(curves.best[y, x], bits, table)
+        return
     for x in range(spots.top.size):
         k = np.int64(curves.peak[y, x])
         near = min(how.reach, k, last - k)

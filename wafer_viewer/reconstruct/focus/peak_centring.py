@@ -151,13 +151,32 @@ def centre_row(
     for start in range(0, found_um.size, _LANES):
         _begin(best, start, z_um, window)
         for turn in range(_TURNS):
-            if turn == 0 or _surround(z_um, window):
-                _take_taps(levels, y, start, window, modulation)
-            _sum_taps(window)
+            if turn == 0:
+                for i in range(_LANES):
+                    _take_taps(levels, y, start, i, window, modulation)
+            else:
+                _surround(levels, y, start, z_um, window, modulation)
+            if turn == 0 and window.even and _is_inside(window):
+                _sum_taps_at_frames(window)
+            else:
+                _sum_taps(window)
             if _move(window) < _STANDING:
                 break
         for i in range(min(_LANES, found_um.size - start)):
             found_um[start + i] = z_um[window.at[i]] + window.shift[i] * window.step_um
+
+
+@inline_kernel
+def _take_taps(levels: UInt16s, y: Int, start: Int, i: Int, window: CentringWindow, modulation: Float32s) -> None:
+    """Gather the taps of pixel i: distance, weight and modulation."""
+    last_k, n_taps = levels.shape[0] - 1, window.taps.shape[1]
+    x, first = min(start + i, levels.shape[2] - 1), window.at[i] - n_taps // 2
+    for j in range(n_taps):
+        window.taps[2, j, i] = modulation[levels[min(max(first + j, 0), last_k), y, x]]
+    if not window.even:
+        for j in range(n_taps):
+            window.taps[0, j, i] = window.distance[window.at[i], j]
+            window.taps[1, j, i] = window.weight[window.at[i], j]
 
 
 @lean_part
@@ -176,9 +195,10 @@ def _surround_by(k: Int, i: Int, z_um: Float64s, window: CentringWindow) -> None
 
 
 @lean_part
-def _surround(z_um: Float64s, window: CentringWindow) -> bool:
-    """Surround estimates that have left their frame by the taps of the nearest one; return whether there are any."""
-    changed = False
+def _surround(
+    levels: UInt16s, y: Int, start: Int, z_um: Float64s, window: CentringWindow, modulation: Float32s
+) -> None:
+    """Surround estimates that have left their frame by the taps of the nearest one."""
     for i in range(_LANES):
         if abs(window.shift[i]) > _SLACK:
             k = window.at[i]
@@ -189,25 +209,37 @@ def _surround(z_um: Float64s, window: CentringWindow) -> bool:
                 k += 1
             _surround_by(k, i, z_um, window)
             window.shift[i] = (at_um - z_um[k]) / window.step_um
-            changed = True
-    return changed
+            _take_taps(levels, y, start, i, window, modulation)
 
 
 @lean_part
-def _take_taps(levels: UInt16s, y: Int, start: Int, window: CentringWindow, modulation: Float32s) -> None:
-    """Gather the taps of all pixels: distance, weight and modulation."""
-    last_x, last_k = levels.shape[2] - 1, levels.shape[0] - 1
-    n_taps = window.taps.shape[1]
-    for j in range(n_taps):
-        focus = window.taps[2, j]
+def _is_inside(window: CentringWindow) -> bool:
+    """Return whether the windows of all pixels, before they move, lie within the stack."""
+    room = window.highest[0]
+    for i in range(_LANES):
+        room = min(room, min(-window.lowest[i], window.highest[i]))
+    return room >= window.taps[0, window.taps.shape[1] - 1, 0]
+
+
+@lean_part
+def _sum_taps_at_frames(window: CentringWindow) -> None:
+    """Apply `_sum_taps` to windows of an even sweep that have not moved: their weights are those of the taps."""
+    s0, s1, s2, s3, s4 = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+    window.sums[:] = 0
+    v0, v1, v2 = window.sums[5], window.sums[6], window.sums[7]
+    for j in range(window.taps.shape[1]):
+        u, g, focus = window.taps[0, j, 0], window.taps[1, j, 0], window.taps[2, j]
+        gu = g * u
+        guu = gu * u
+        s0, s1, s2, s3, s4 = s0 + g, s1 + gu, s2 + guu, s3 + guu * u, s4 + guu * u * u
         for i in range(_LANES):
-            k = min(max(window.at[i] + j - n_taps // 2, 0), last_k)
-            focus[i] = modulation[levels[k, y, min(start + i, last_x)]]
-    if not window.even:
-        for j in range(n_taps):
-            for i in range(_LANES):
-                window.taps[0, j, i] = window.distance[window.at[i], j]
-                window.taps[1, j, i] = window.weight[window.at[i], j]
+            v = focus[i]
+            v0[i] += g * v
+            v1[i] += gu * v
+            v2[i] += guu * v
+    for i in range(_LANES):
+        window.sums[0, i], window.sums[1, i], window.sums[2, i] = s0, s1, s2
+        window.sums[3, i], window.sums[4, i] = s3, s4
 
 
 @lean_part
