@@ -302,6 +302,18 @@ def test_the_doctor_says_what_there_is(tmp_path):
     assert all(line[:4] in ("ok  ", "LACK", "    ") for line in printed.stdout.splitlines())
 
 
+@pytest.mark.slow
+def test_after_the_doctor_no_surface_waits_for_a_compiler(images, tmp_path, monkeypatch):
+    cache, out = tmp_path / "cache", tmp_path / "surface.npz"
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(cache))
+    assert "ok   Kernels: compiled for this processor" in viewer("doctor", "--data", tmp_path).stdout
+    compiled = sorted(cache.rglob("*.nbc"))
+    assert compiled
+    done = viewer("reconstruct", images, "-o", out, "--z-step-um", 2, "--pixel-um", 0.5)
+    assert done.returncode == 0, done.stderr
+    assert sorted(cache.rglob("*.nbc")) == compiled
+
+
 def test_the_doctor_checks_the_devices_of_a_rig_and_moves_on_request_only(tmp_path):
     rig = ROOT / "assets/rigs/zaber_simulated.toml"
     still = viewer("doctor", "--data", tmp_path, "--rig", rig).stdout

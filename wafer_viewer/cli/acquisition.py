@@ -391,6 +391,7 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
     """List what this machine has and lacks, and how to fix it; status 1 when something is lacking.
 
     Also connects to each device of the rig, says what answers, and compares the counts of the pulse box with the stage.
+    Run it after an installation: it compiles the kernels, so that the first surface does not wait for them.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
@@ -398,8 +399,9 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
         move: Home the stage, move each axis by a mm at most and over its index mark, if it has one, and back.
     """
     from wafer_viewer.session.core.environment_check import check_environment
+    from wafer_viewer.session.surface.worker_tasks import warm_up
 
-    return print_checks(check_environment(_config(rig), data.expanduser(), move=move))
+    return print_checks(check_environment(_config(rig), data.expanduser(), warm_up, move=move))
 
 
 def positioners(rig: File = None, move: Annotated[tuple[str, ...], arg(metavar="NAME=POSITION ...")] = ()) -> None:

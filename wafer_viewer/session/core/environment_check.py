@@ -7,7 +7,8 @@ import importlib
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,14 +43,21 @@ class EnvironmentCheck:
         return not self.mend
 
 
-def check_environment(config: RigConfig, data_folder: Path, *, move: bool = False) -> Iterator[EnvironmentCheck]:
-    """Run all checks, one after the other. The stage moves with `move` only."""
+def check_environment(
+    config: RigConfig, data_folder: Path, compile_kernels: Callable[[], None], *, move: bool = False
+) -> Iterator[EnvironmentCheck]:
+    """Run all checks, one after the other. The stage moves with `move` only.
+
+    compile_kernels: makes a surface with every kernel; what it compiles is kept, so that no later surface waits for it.
+    """
     yield EnvironmentCheck("Python", sys.version.split()[0])
     yield from (_package(name) for name in PACKAGES)
     yield _open3d()
     yield _processors()
     yield _disk(data_folder)
-    yield _cache()
+    yield (cache := _cache())
+    if cache.well:
+        yield _kernels(compile_kernels)
     yield from _rig(config, move)
 
 
@@ -96,6 +104,12 @@ def _cache() -> EnvironmentCheck:
             "Kernel cache", f"{folder}: {fault.strerror}", "set WAFER_VIEWER_CACHE to a folder of yours"
         )
     return EnvironmentCheck("Kernel cache", str(folder))
+
+
+def _kernels(compile_kernels: Callable[[], None]) -> EnvironmentCheck:
+    began = time.perf_counter()
+    compile_kernels()
+    return EnvironmentCheck("Kernels", f"compiled for this processor, ready in {time.perf_counter() - began:.1f} s")
 
 
 def _rig(config: RigConfig, move: bool) -> Iterator[EnvironmentCheck]:
