@@ -29,6 +29,7 @@ noise = np.random.default_rng(1)
 sharp = np.exp(-(np.arange(n) - 15.0) ** 2 / 8)[:, None, None]
 light = np.where(np.arange(cols) < 130, 40.0, 150.0)
 images = light + sharp * noise.normal(0, 20, (rows, cols)) + noise.normal(0, 1, (n, rows, cols))
+images[:, 40:90, 200:250] = 150.0
 np.save(sys.argv[1], images.clip(0, 255).astype(np.uint8))
 mapped = np.load(sys.argv[1], mmap_mode="r")
 field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)

@@ -26,7 +26,7 @@ from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS, search_field, wide_heights
-from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth
+from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth, membrane
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide, Silhouette
@@ -335,5 +335,6 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
     stack = FieldStack(field, grey, np.arange(float(n_frames)), np.ones(n_frames, bool), 1.0)
     reconstruct(stack, recipe, threads=1)
+    membrane(np.where(np.eye(4, dtype=np.bool_), np.float32(0), np.float32(np.nan)))
     if recipe.edges != "none":
         warm_up_edges(prepare(stack), window=9)

@@ -463,7 +463,7 @@ def warm_up(frames: Frames, window: int) -> None:
     silhouette_of(frames, threads=1)
     half = tuple(-(-n // 2) for n in frames.shape)
     band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32), BAND_REACH_PX)
-    _outline_grey(frames, band, threads=1)
+    classify_sides(_outline_grey(frames, band, threads=1), band, dark_counts=1.0)
     shape = frames.shape
     expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
     how = EdgeSearch("rims", window, 1, 1.0, CameraNoise(0.5, 80.0), 1.0)

@@ -19,7 +19,6 @@ another height than the bright side. Small groups of cells are not accepted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -402,28 +401,47 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
         )
     )
     bright, side = np.empty(grey.shape, np.bool_), np.empty(grey.shape, np.uint8)
-    for part, half in _quarters(grey.shape):
-        np.greater_equal(grey[part], middle[half], out=bright[part])
+    _mark_bright(grey, middle, bright)
     share = np.where(band.inside, halved(bright), np.float32(0))
     around = mean_of_valid(share, band.inside, 3)
-    deep_dark, deep_bright = around <= 1 - SIDE.deep_share, around >= SIDE.deep_share
-    outline = np.where(band.inside, np.uint8(EdgeSide.OUTLINE), np.uint8(EdgeSide.AWAY))
-    for part, half in _quarters(grey.shape):
-        inside, is_bright = band.inside[half], bright[part]
-        dark_side = inside & ~is_bright & ((grey[part] < surely_dark[half]) | deep_dark[half])
-        bright_side = inside & is_bright & ((grey[part] > surely_bright[half]) | deep_bright[half])
-        of_part = outline[half].copy()
-        np.copyto(of_part, np.uint8(EdgeSide.DARK), where=dark_side)
-        np.copyto(of_part, np.uint8(EdgeSide.BRIGHT), where=bright_side)
-        side[part] = of_part
+    deep = around <= 1 - SIDE.deep_share, around >= SIDE.deep_share
+    _mark_sides(grey, bright, band.inside, (surely_dark, surely_bright), deep, side)
     return Sides(side, share, np.where(band.inside, threshold, np.float32(0)))
 
 
-def _quarters(shape: tuple[int, ...]) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Yield each pixel of the squares of 2 x 2 pixels in a field of `shape`, and its square at half resolution."""
-    for row, col in np.ndindex(2, 2):
-        half = slice(None, (shape[0] - row + 1) // 2), slice(None, (shape[1] - col + 1) // 2)
-        yield (slice(row, None, 2), slice(col, None, 2)), half
+@lean_kernel
+def _mark_bright(grey: Float32s, middle: Float32s, bright: Bools) -> None:
+    """Mark the pixels of a field at or above a grey at half resolution."""
+    for y in range(grey.shape[0]):
+        for x in range(grey.shape[1]):
+            bright[y, x] = grey[y, x] >= middle[y // 2, x // 2]
+
+
+@lean_kernel
+def _mark_sides(
+    grey: Float32s,
+    bright: Bools,
+    inside: Bools,
+    surely: tuple[Float32s, Float32s],
+    deep: tuple[Bools, Bools],
+    side: UInt8s,
+) -> None:
+    """Write the side of each pixel of a field, which is the outline inside the band unless it is sure.
+
+    surely: grey of certainly dark and certainly bright pixels; deep: whether all around is dark, is bright; inside,
+    surely and deep: at half resolution.
+    """
+    for y in range(grey.shape[0]):
+        for x in range(grey.shape[1]):
+            i, j, found = y // 2, x // 2, EdgeSide.AWAY
+            if inside[i, j]:
+                found = EdgeSide.OUTLINE
+                if bright[y, x]:
+                    if grey[y, x] > surely[1][i, j] or deep[1][i, j]:
+                        found = EdgeSide.BRIGHT
+                elif grey[y, x] < surely[0][i, j] or deep[0][i, j]:
+                    found = EdgeSide.DARK
+            side[y, x] = found
 
 
 @lean_kernel
