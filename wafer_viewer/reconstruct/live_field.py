@@ -20,12 +20,7 @@ from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, stripes
-from wafer_viewer.reconstruct.gates.edge_sides import (
-    DARK_SHARE_OF_WHITE,
-    Silhouette,
-    SilhouetteRows,
-    silhouette_block,
-)
+from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 

@@ -32,7 +32,8 @@ from wafer_viewer.reconstruct.gates.edge_bleeding import (
     tangential_levels,
     tangential_margin_px,
 )
-from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, Silhouette, find_band, silhouette_of
+from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, find_band
+from wafer_viewer.reconstruct.gates.silhouettes import Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 

@@ -134,7 +134,7 @@ def _taps_of(z_um: bytes, sigma: float) -> tuple[float, bool, Float32s, Float32s
     even = bool(np.ptp(np.diff(at_um)) < _EVEN * step_um)
     d = np.arange(-half, half + 1)
     even_taps = np.stack([d, np.exp(-(d**2) / (2 * sigma**2))])
-    return step_um, even, *(taps.astype(np.float32) for taps in (distance, weight, even_taps))
+    return step_um, even, distance.astype(np.float32), weight.astype(np.float32), even_taps.astype(np.float32)
 
 
 @inlined_part

@@ -46,20 +46,18 @@ from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
 from wafer_viewer.reconstruct.gates.edge_sides import (
     BAND_REACH_PX,
-    DARK_SHARE_OF_WHITE,
     STANDING_GAPS,
     Band,
     EdgeSide,
     Sides,
-    Silhouette,
     classify_sides,
     find_band,
     outline_grey,
     side_heights_um,
-    silhouette_of,
     smooth_surroundings,
 )
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
+from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 

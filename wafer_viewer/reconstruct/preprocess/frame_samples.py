@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.jit import Greys
 from wafer_viewer.reconstruct.preprocess.flicker import FlickerCells, flicker_cells
 from wafer_viewer.reconstruct.preprocess.sensor_faults import FaultStats, fault_stats
 from wafer_viewer.reconstruct.preprocess.torn_frames import sampled_bands
@@ -25,7 +26,7 @@ class FrameSamples:
     def __init__(self, clipped_counts: int) -> None:
         self.clipped_counts = clipped_counts
         self._stats: dict[int, FaultStats] = {}
-        self._bands: dict[int, Image] = {}
+        self._bands: dict[int, Greys] = {}
         self._cells: dict[int, FlickerCells] = {}
 
     def take(self, slot: int, frame: Image) -> None:
@@ -38,7 +39,7 @@ class FrameSamples:
         """Return grey, clipped fraction and focus energy of a frame."""
         return _kept(self._stats, slot, lambda: fault_stats(frame, self.clipped_counts))
 
-    def bands(self, slot: int, frame: Image) -> Image:
+    def bands(self, slot: int, frame: Image) -> Greys:
         """Return a sample of each band of rows of a frame, [band, row, col]."""
         return _kept(self._bands, slot, lambda: sampled_bands(frame))
 

@@ -298,7 +298,8 @@ def _with_drift_correction(stack: FieldStack, frames: Frames) -> Frames:
 
     def read(rows: slice, cols: slice) -> Image:
         if frames.ready(rows, 0):
-            return np.asarray(frames.images)[frames.index, rows, cols]
+            in_place: Any = np.asarray(frames.images)  # arithmetic on a memmap is slower
+            return in_place[frames.index, rows, cols]
         block = np.empty((frames.n_frames, rows.stop - rows.start, cols.stop - cols.start), frames.dtype)
         read_block(frames, rows, cols, 0, block)
         return block

@@ -124,7 +124,7 @@ def _complete_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:
     """Return a mask of pixels that stand out in all frames, up or down, along the row or the column."""
-    first, last = np.asarray(images[slots[0]]), np.asarray(images[slots[-1]])
+    first, last = images[slots[0]], images[slots[-1]]
     least = _least_difference(first, white_counts)
     flawed = np.zeros(first.shape, bool)
     if min(first.shape) <= 2 * FLAW.reach_px or least > white_counts // 2:

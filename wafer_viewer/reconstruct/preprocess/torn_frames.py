@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.jit import Greys
 
 Floats = NDArray[np.float32]
 LEAST_FRAMES = 6
@@ -71,7 +72,7 @@ class TearParameters:
 TEAR = TearParameters()
 
 
-def torn_frames(bands: Sequence[Image], slots: NDArray[np.intp], white_counts: int) -> dict[int, str]:
+def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: int) -> dict[int, str]:
     """Return what is wrong with each torn frame among `slots`, in the order of z; none where there are many.
 
     bands: from `sampled_bands` of these frames.
@@ -87,7 +88,7 @@ def torn_frames(bands: Sequence[Image], slots: NDArray[np.intp], white_counts: i
     }
 
 
-def _torn(raw: Image, white_counts: int) -> list[tuple[int, float]]:
+def _torn(raw: Greys, white_counts: int) -> list[tuple[int, float]]:
     """Return the index along z and the torn fraction of each torn frame.
 
     raw: sampled bands, [k, band, row, col]. Frame by frame, so that a frame and the two before it stay in cache.
@@ -120,7 +121,7 @@ def _torn(raw: Image, white_counts: int) -> list[tuple[int, float]]:
 class _Bands:
     """Samples of the bands of all frames, [k][band, row, col], brought to one mean: flicker is no tear."""
 
-    raw: Image
+    raw: Greys
     level: Floats
     factor: Floats
 
@@ -132,7 +133,7 @@ class _Bands:
         return (self.raw[:, band].astype(np.float32) - self.level[:, band]) * self.factor[:, band]
 
 
-def _stale(raw: Image) -> dict[int, float]:
+def _stale(raw: Greys) -> dict[int, float]:
     """Return the torn fraction of frames that share some bands, to the last count, with a frame beside them.
 
     Noise makes that impossible, so a stack without noise is not tested. The frame with the larger jump to its other
@@ -175,13 +176,13 @@ def _mean_square(one: Floats, other: Floats) -> Floats:
     return np.mean((one - other) ** 2, axis=(-2, -1))
 
 
-def sampled_bands(frame: Image) -> Image:
+def sampled_bands(frame: Image) -> Greys:
     """Return a sample of each band of rows of a frame, [band, row, col]; empty where it is smaller than the bands."""
     n_bands = TEAR.bands
     if min(frame.shape) < n_bands:
-        return np.empty((n_bands, 0, 0), frame.dtype)
+        return np.empty((n_bands, 0, 0), np.uint8)
     high = len(frame) // n_bands
     n_rows = min(high, TEAR.sampled[0])
     rows = (np.arange(n_bands)[:, None] * high + np.linspace(0, high - 1, n_rows).astype(int)).ravel()
     every = -(-frame.shape[1] // TEAR.sampled[1])
-    return np.asarray(frame)[rows, ::every].reshape(n_bands, n_rows, -1)
+    return frame[rows, ::every].reshape(n_bands, n_rows, -1)
