@@ -19,19 +19,26 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.progress import Progress, silent
-from wafer_viewer.model.surface.frame_health import FrameHealth, flicker_u_um, jitter_u_um
+from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.model.surface.frame_health import FrameHealth, flicker_u_um, interpolation_u_um, jitter_u_um
 from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS, search_field, wide_heights
+from wafer_viewer.reconstruct.focus.peak_search import (
+    FOCUS_WIDTH_DEPTHS,
+    PROPAGATED_PEAK,
+    search_field,
+    wide_heights,
+)
 from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth, membrane
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
+from wafer_viewer.reconstruct.height_uncertainty import uncertainty_um
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
@@ -282,8 +289,27 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
             frame_health=health,
             notes=(*field.frames.notes, *field.tuned.notes, *jitter_note),
         ),
+        u_um=uncertainty(field, corrected, cleaned, health),
         refused=cleaned.refused,
     )
+
+
+def uncertainty(
+    field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights, health: FrameHealth
+) -> NDArray[np.float32] | None:
+    """Return the standard uncertainty of each measured height; None for peaks whose noise is not propagated.
+
+    A height that was searched again at a wall has another curve than its peak: its uncertainty is not known.
+    """
+    recipe, search = field.tuned.recipe, field.tuned.search
+    if recipe.peak != PROPAGATED_PEAK:
+        return None
+    noise_um = corrected.gated.peaks.noise_um
+    if corrected.edges is not None:
+        noise_um = np.where(corrected.z_um == corrected.searched_um, noise_um, np.float32(np.nan))
+    passes = focus_measures()[search.measure].passes
+    between_um = interpolation_u_um(recipe.peak, field.frames.step_um, float(recipe.focus_width_um))
+    return uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)
 
 
 def smooth_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) -> Image:

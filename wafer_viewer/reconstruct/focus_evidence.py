@@ -92,6 +92,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
         rivals=rivals_of(z_um, curve, int(curve.argmax()), search.gap),
         verdicts=(*verdicts_of(found.corrected, r, c), *cleaning_verdicts(origin)),
         simulated=stack.simulated,
+        u_um=None if found.height_map.u_um is None else _finite(float(found.height_map.u_um[r, c])),
     )
 
 

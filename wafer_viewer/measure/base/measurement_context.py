@@ -6,26 +6,17 @@ import math
 from dataclasses import dataclass
 from typing import Any, Self
 
-import numpy as np
-
 from wafer_viewer.measure.base.height_samples import Layer, layer_of, level_note
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.model.measurement.tool_options import Conditions
 from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity, Unit, UStatus
+from wafer_viewer.model.surface.frame_health import interpolation_u_um
 from wafer_viewer.model.surface.height_map import Mosaic, Provenance
 
 ARGMAX_INTERPOLATION = 1 / math.sqrt(6)
 """Standard uncertainty of a step, in z steps, when both faces are rounded to frames (two uniform roundings)."""
 INTERPOLATION_SHARE = 0.005
 """Standard uncertainty of a step, in z steps, for interpolated peaks where the depth of field is unknown."""
-STEPS_DOF = (0.0, 0.6, 0.75, 0.9, 1.1)
-"""Steps in depths of field to which `CENTRED_U` belongs."""
-CENTRED_U = (0.002, 0.003, 0.006, 0.014, 0.045)
-"""Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py."""
-THREE_POINT_U = 0.03
-"""The same for peaks through three points, rms of the blur law at any step up to a depth of field."""
-WIDTH_DOF = 1.2
-"""Width of a focus curve in depths of field."""
 NOT_IN_BUDGET = (
     "Not in the budget: repeat scans, drift during the scan, z offsets between fields, linearity and Abbe offset of "
     "the z axis, temperature other than 20 C."
@@ -86,20 +77,12 @@ def from_conditions(height_um: float, conditions: Conditions, provenance: Proven
 
 def interpolation_um(provenance: Provenance) -> float:
     """Standard uncertainty of a height difference due to peak interpolation between frames."""
-    return _per_step(provenance) * provenance.z_step_um
-
-
-def _per_step(provenance: Provenance) -> float:
-    """Return the standard uncertainty of a height difference between frames, in z steps."""
-    recipe = provenance.recipe
+    recipe, step_um = provenance.recipe, provenance.z_step_um
     if recipe.peak == "argmax":
-        return ARGMAX_INTERPOLATION
+        return ARGMAX_INTERPOLATION * step_um
     if isinstance(recipe.focus_width_um, str):
-        return INTERPOLATION_SHARE
-    if recipe.peak != "centred":
-        return math.sqrt(2) * THREE_POINT_U
-    step_dof = provenance.z_step_um * WIDTH_DOF / recipe.focus_width_um
-    return math.sqrt(2) * float(np.interp(step_dof, STEPS_DOF, CENTRED_U))
+        return INTERPOLATION_SHARE * step_um
+    return math.sqrt(2) * interpolation_u_um(recipe.peak, step_um, recipe.focus_width_um)
 
 
 def frame_lines_um(provenance: Provenance) -> dict[str, float]:

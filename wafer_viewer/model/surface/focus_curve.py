@@ -37,7 +37,7 @@ class FocusCurve(Spec, frozen=True, kw_only=True):
 
     z_um, focus and grey have one entry per frame in use, z rising; focus is the focus measure as a fraction of its
     maximum. peak_z_um: position of the peak, even if a gate rejects it; height_um: height in the map before smoothing,
-    None if unmeasured for the reason in `origin`.
+    None if unmeasured for the reason in `origin`; u_um: its standard uncertainty (k = 1), None if it is not known.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -58,3 +58,4 @@ class FocusCurve(Spec, frozen=True, kw_only=True):
     rivals: tuple[Rival, ...]
     verdicts: tuple[Verdict, ...]
     simulated: bool = False
+    u_um: float | None = None

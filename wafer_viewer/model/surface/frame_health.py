@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from wafer_viewer.model.spec import NonNegative, Spec
 
 JITTER_SHARE = 0.75
@@ -16,6 +18,14 @@ FLICKER_SHARE = 0.29
 
 From the same simulation, for steps up to 0.75 depths of field.
 """
+STEPS_DOF = (0.0, 0.6, 0.75, 0.9, 1.1)
+"""Steps in depths of field to which `CENTRED_U` belongs."""
+CENTRED_U = (0.002, 0.003, 0.006, 0.014, 0.045)
+"""Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py."""
+THREE_POINT_U = 0.03
+"""The same for peaks through three points, rms of the blur law at any step up to a depth of field."""
+WIDTH_DOF = 1.2
+"""Width of a focus curve in depths of field."""
 
 
 class FrameHealth(Spec, frozen=True, kw_only=True):
@@ -46,3 +56,10 @@ def jitter_u_um(jitter_um: float, step_um: float, depth_of_field_um: float) -> f
 def flicker_u_um(flicker: float, step_um: float, depth_of_field_um: float) -> float:
     """Return the standard uncertainty of a height due to flicker, given as the standard deviation of the gains."""
     return FLICKER_SHARE * math.sqrt(step_um / depth_of_field_um) * depth_of_field_um * flicker
+
+
+def interpolation_u_um(peak: str, step_um: float, focus_width_um: float) -> float:
+    """Return the standard uncertainty of a height from interpolation between frames; not for argmax, which has none."""
+    if peak != "centred":
+        return THREE_POINT_U * step_um
+    return step_um * float(np.interp(step_um * WIDTH_DOF / focus_width_um, STEPS_DOF, CENTRED_U))

@@ -116,8 +116,9 @@ class HeightMap:
     z_um: float32, NaN if unmeasured, filtered as the recipe says; z_raw_um: float32, gated, neither smoothed nor
     filled, the default for measurements; confidence: float32 in 0 ... 1; all_in_focus: uint8 or uint16 grey; origin:
     uint8 codes of `Origin`; overlap_um: float32, only for a mosaic: highest minus lowest raw height where two or more
-    fields measured a pixel, NaN elsewhere; refused: only for a field: the heights rejected by gates; None if they were
-    not stored, and for a part of a map.
+    fields measured a pixel, NaN elsewhere; u_um: float32, standard uncertainty (k = 1) of z_raw_um, NaN where it is
+    unmeasured or of unknown uncertainty, None if no height has one; refused: only for a field: the heights rejected by
+    gates; None if they were not stored, and for a part of a map.
 
     Raises MeasureError if the shapes differ.
     """
@@ -133,10 +134,11 @@ class HeightMap:
     provenance: Provenance = Provenance()
     overlap_um: NDArray[np.float32] | None = None
     refused: RefusedHeights | None = None
+    u_um: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         shapes = {a.shape for a in (self.z_um, self.z_raw_um, self.confidence, self.all_in_focus, self.origin)}
-        shapes |= set() if self.overlap_um is None else {self.overlap_um.shape}
+        shapes |= {a.shape for a in (self.overlap_um, self.u_um) if a is not None}
         if len(shapes) != 1:
             raise MeasureError(f"The layers of a height map have the shapes {sorted(shapes)}: they must be one shape.")
 
@@ -186,6 +188,7 @@ class HeightMap:
             all_in_focus=self.all_in_focus[rows, cols],
             origin=self.origin[rows, cols],
             overlap_um=None if self.overlap_um is None else self.overlap_um[rows, cols],
+            u_um=None if self.u_um is None else self.u_um[rows, cols],
             refused=None,
             x0_um=self.x0_um + int(cols.start or 0) * self.pixel_um,
             y0_um=self.y0_um - int(rows.start or 0) * self.pixel_um,

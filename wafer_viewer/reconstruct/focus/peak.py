@@ -86,7 +86,8 @@ class InterpolationScratch(NamedTuple):
     """Scratch rows for peak interpolation: rival and lowest level, and z and log2 of focus at three frames.
 
     floor: log2 of the focus where the curve is lowest. bits, table: the number of fraction bits of a level, and their
-    contribution to log2. modulation: focus^0.4 of every level.
+    contribution to log2. modulation: focus^0.4 of every level. mean_level, leverage_um: log2 of the focus in the window
+    of a centred peak, and standard deviation of its height per octave of noise of the levels, NaN for other peaks.
     """
 
     bits: int
@@ -101,13 +102,23 @@ class InterpolationScratch(NamedTuple):
     floor: Float64s
     table: Float32s
     modulation: Float32s
+    mean_level: Float32s
+    leverage_um: Float32s
 
     @classmethod
     def make(cls, cols: int, table: Float32s) -> InterpolationScratch:
         """Allocate rows of `cols` pixels for levels whose lower bits `table` decodes."""
         shorts = (aligned((cols,), np.uint16) for _ in range(2))
         reals = (aligned((cols,), np.float64) for _ in range(7))
-        return cls(table.size.bit_length() - 1, *shorts, *reals, table=table, modulation=modulations(table.tobytes()))
+        return cls(
+            table.size.bit_length() - 1,
+            *shorts,
+            *reals,
+            table=table,
+            modulation=modulations(table.tobytes()),
+            mean_level=aligned((cols,), np.float32),
+            leverage_um=aligned((cols,), np.float32),
+        )
 
 
 @lean_kernel
@@ -227,10 +238,26 @@ class FocusCurves(NamedTuple):
         return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
 
 
+class LevelNoise(NamedTuple):
+    """Standard deviation of a level due to the noise of the camera.
+
+    octaves: float32 [n], by the height of the level over that of pure noise, in `NOISE_STEPS` a power of two from 0 on;
+    of_noise: float32 [grey], log2 of the focus of pure noise by the grey of the pixel.
+    """
+
+    octaves: Float32s
+    of_noise: Float32s
+
+
+NOISE_STEPS = 4
+"""Entries of `LevelNoise.octaves` per power of two."""
+
+
 class PeakScores(NamedTuple):
     """Part of `Peaks` that is computed from the focus volume."""
 
     z_um: Float32s
+    noise_um: Float32s
     lead: Float32s
     fall: Float32s
     contrast: Float32s
@@ -241,13 +268,15 @@ class PeakScores(NamedTuple):
 class Peaks:
     """Peak heights and scores of each pixel, all arrays [row, col].
 
-    z_um: float32; lead, fall and contrast: float32, in powers of two of the focus measure: height of the peak above its
+    z_um: float32; noise_um: float32, standard uncertainty of z_um due to the noise of the camera, NaN where it is not
+    known; lead, fall and contrast: float32, in powers of two of the focus measure: height of the peak above its
     highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames in
     which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k, row / 4, col / 4], the levels
     of the focus volume averaged over 4 x 4 pixels, or without frames where they are not requested.
     """
 
     z_um: NDArray[np.float32]
+    noise_um: NDArray[np.float32]
     lead: NDArray[np.float32]
     fall: NDArray[np.float32]
     contrast: NDArray[np.float32]
@@ -259,15 +288,15 @@ class Peaks:
     @classmethod
     def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any], n_coarse: int = 0) -> Peaks:
         """Allocate the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
-        z_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(4))
+        z_um, noise_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(5))
         coarse = np.empty((n_coarse, -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)), np.uint16)
         at_end, clipped, all_in_focus = (np.empty(shape, kind) for kind in (np.bool_, np.uint16, dtype))
-        return cls(z_um, lead, fall, contrast, at_end, clipped, all_in_focus, coarse)
+        return cls(z_um, noise_um, lead, fall, contrast, at_end, clipped, all_in_focus, coarse)
 
     @property
     def scores(self) -> PeakScores:
         """Arrays that `describe` fills."""
-        return PeakScores(self.z_um, self.lead, self.fall, self.contrast, self.all_in_focus)
+        return PeakScores(self.z_um, self.noise_um, self.lead, self.fall, self.contrast, self.all_in_focus)
 
     @property
     def confidence(self) -> NDArray[np.float32]:
@@ -298,10 +327,11 @@ def describe(
     z_um: Float64s,
     how: PeakInterpolation,
     window: CentringWindow,
+    noise: LevelNoise,
     spots: InterpolationScratch,
     out: PeakScores,
 ) -> None:
-    """Compute height, scores and all-in-focus grey of each pixel, one row at a time to stay in cache."""
+    """Compute height, its noise, scores and all-in-focus grey of each pixel, one row at a time to stay in cache."""
     n_rows, cols = curves.peak.shape
     for y in range(n_rows):
         _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
@@ -311,6 +341,7 @@ def describe(
         row = source.top + y
         for x in range(cols):
             out.all_in_focus[y, x] = source.images[source.slots[curves.peak[y, x]], row, source.left + x]
+        _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y])
 
 
 @inlined_part
@@ -325,11 +356,24 @@ def place_peaks(
 ) -> None:
     """Place the peaks of row y, whose three points are gathered."""
     if how.estimator == _CENTRED:
-        centre_row(curves.levels, curves.peak[y], y, z_um, window, spots.modulation, found_um)
+        best, mean_level, leverage_um = curves.peak[y], spots.mean_level, spots.leverage_um
+        centre_row(curves.levels, best, y, z_um, window, spots.modulation, found_um, mean_level, leverage_um)
     else:
+        spots.leverage_um[:] = np.nan
         if how.blend:
             gather_blended(curves, y, z_um, how, spots)
         place_row(how, spots, found_um)
+
+
+@lean_part
+def _propagate_noise(noise: LevelNoise, grey: Greys, spots: InterpolationScratch, noise_um: Float32s) -> None:
+    """Compute the standard deviation of a row of heights from that of the levels in their windows."""
+    f, u = np.float32, np.uint32  # an unsigned index is not tested for counting from the end
+    last, steps, zero, half = f(noise.octaves.size - 1), f(NOISE_STEPS), f(0), f(0.5)
+    mean_level, leverage_um, octaves, of_noise = spots.mean_level, spots.leverage_um, noise.octaves, noise.of_noise
+    for x in range(noise_um.size):
+        over = (mean_level[x] - of_noise[u(grey[x])]) * steps + half
+        noise_um[x] = leverage_um[x] * octaves[u(np.int32(min(max(over, zero), last)))]
 
 
 @inlined_part

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
@@ -53,12 +54,19 @@ _FLAT = 1e-5
 
 _MODULATION_POWER = 0.4
 """Power of the focus that is about the modulation of the image: 0.3 to 0.5 serve alike, 0 and 1 do not."""
+_OCTAVES = np.float32(1 / _MODULATION_POWER)
+"""Octaves of the focus per octave of its modulation."""
 _PER_OCTAVE = np.float32(1.4426950408889634)
 """1 / ln 2."""
 _LN2 = np.float32(np.log(2))
 """Natural logarithm of 2."""
 _ROUNDER = np.float32(1.5 * 2.0**23)
 """A float32 this large has no fraction bits; its lowest mantissa bits hold an integer."""
+_SLOPE_PER_OCTAVE = np.float32(_MODULATION_POWER * np.log(2) / 2**0.75)
+"""Standard deviation of a window's slope over the root of its second moment, per modulation and octave of level noise.
+
+The square of a Gaussian has 2^-1.5 times its second moment; the noise of frames is independent.
+"""
 
 
 @lru_cache(maxsize=4)
@@ -146,8 +154,14 @@ def centre_row(
     window: CentringWindow,
     modulation: Float32s,
     found_um: Float32s,
+    mean_level: Float32s,
+    leverage_um: Float32s,
 ) -> None:
-    """Centre the peaks of row y of a focus volume, levels [k, row, col], from the best frames `best` [col]."""
+    """Centre the peaks of row y of a focus volume, levels [k, row, col], from the best frames `best` [col].
+
+    mean_level: mean log2 of the focus in the window; leverage_um: standard deviation of the height in um per octave of
+    the independent noise of levels, NaN where the curve does not bend.
+    """
     for start in range(0, found_um.size, _LANES):
         _begin(best, start, z_um, window)
         for turn in range(_TURNS):
@@ -164,6 +178,7 @@ def centre_row(
                 break
         for i in range(min(_LANES, found_um.size - start)):
             found_um[start + i] = z_um[window.at[i]] + window.shift[i] * window.step_um
+        _spread(window, mean_level[start:], leverage_um[start:])
 
 
 @inline_kernel
@@ -303,6 +318,24 @@ def _move(window: CentringWindow) -> Real:
         shift[i], moved[i] = found, found - t
         largest = max(largest, abs(moved[i]))
     return largest
+
+
+@lean_part
+def _spread(window: CentringWindow, mean_level: Float32s, leverage_um: Float32s) -> None:
+    """Write the mean level, and how far noise of the levels moves the vertex of the parabola."""
+    f = np.float32
+    sums, step_um, none = window.sums, f(window.step_um), f(np.nan)
+    zero, one, two, least = f(0), f(1), f(2), f(_FLAT)
+    for i in range(min(_LANES, leverage_um.size)):
+        p1, p2 = sums[1, i], sums[2, i]
+        per_weight = one / (sums[0, i] if sums[0, i] > 0 else one)
+        mean = sums[5, i] * per_weight
+        y1, y2 = sums[6, i] - mean * p1, sums[7, i] - mean * p2
+        s11, s12, s22 = p2 - p1 * p1 * per_weight, sums[3, i] - p1 * p2 * per_weight, sums[4, i] - p2 * p2 * per_weight
+        bend = two * (y1 * s12 - y2 * s11)
+        of_slope = _SLOPE_PER_OCTAVE * mean * s22 * np.sqrt(p2)
+        leverage_um[i] = step_um * of_slope / bend if bend > zero else none
+        mean_level[i] = _OCTAVES * quick_log2(mean if mean > least else least)
 
 
 @inline_kernel

@@ -47,11 +47,13 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     note,
     source_of,
 )
+from wafer_viewer.reconstruct.focus.level_noise import level_noise
 from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
 from wafer_viewer.reconstruct.focus.peak import (
     PEAKS,
     FocusCurves,
     InterpolationScratch,
+    LevelNoise,
     PeakInterpolation,
     Peaks,
     describe,
@@ -64,6 +66,8 @@ from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 STRIPE_ROWS = 32
 """A multiple of `COARSE_PX`; the focus volumes of two threads then fit the L3 cache of most processors."""
+PROPAGATED_PEAK = "centred"
+"""Estimator through which the noise of levels is propagated to the height."""
 
 
 def largest_gap(n_frames: int) -> int:
@@ -105,6 +109,11 @@ class Search:
         blend = self.blend if how.blended else 0
         power = float(focus_measures()[self.measure].power)
         return PeakInterpolation(how.code, power, self.gap, self.reach, blend, self.floored)
+
+    def noise(self, dtype: np.dtype[Any]) -> LevelNoise:
+        """Return the noise of the levels in frames of a dtype, if the estimator propagates it."""
+        measure = self.measure if self.estimator == PROPAGATED_PEAK else None
+        return level_noise(measure, self.window, self.camera, dtype)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,8 +207,8 @@ def find_peaks(
     out: Peaks,
 ) -> None:
     """Compute the peaks of measured frames and store them in `out`."""
-    window = CentringWindow.of(z_um, search.sigma)
-    describe(curves, source, z_um, search.placing, window, spots, out.scores)
+    window, noise = CentringWindow.of(z_um, search.sigma), search.noise(out.all_in_focus.dtype)
+    describe(curves, source, z_um, search.placing, window, noise, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 

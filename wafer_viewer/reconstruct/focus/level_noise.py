@@ -1,0 +1,87 @@
+"""Noise of the levels of a focus volume, from frames of one texture that differ by the noise of the camera alone.
+
+The window of a measure and the strength of the texture over the noise determine by how much a level varies between two
+frames. Both are simulated for the measure and window in use, so that a measure of another package needs no formula.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
+
+from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
+from wafer_viewer.reconstruct.focus.focus_volume import Focusing, StackSource, Volume
+from wafer_viewer.reconstruct.focus.peak import NOISE_STEPS, LevelNoise
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+
+_SIDE_PX, _FRAMES = 64, 12
+"""Side of the simulated patch, and its frames for each strength of the texture."""
+_GREY = 2.0**15
+"""Mean grey of the simulated frames, of 16 bits."""
+_CAMERA = CameraNoise(gain_counts=0.01, floor_counts2=0.1)
+"""Their noise, with a deviation of 18 counts: coarse enough for integers, fine enough for a wide range of textures."""
+_DEVIATION = float(np.sqrt(_CAMERA.gain_counts * _GREY + _CAMERA.floor_counts2))
+_STRENGTHS = (0.0, *(2.0**n for n in range(-2, 7)))
+"""Standard deviation of the texture over that of the noise, in increasing order; 0 first."""
+_TAPS = (0.25, 0.5, 0.25)
+"""Filter of the texture along each axis: about that of a lens whose limit is the spacing of the pixels."""
+_OCTAVES = 24
+"""Range of the table of `LevelNoise` in powers of two."""
+_SEED = 20240301
+"""Seed of the simulated texture and noise."""
+
+
+@lru_cache(maxsize=64)
+def level_noise(measure: str | None, window: int, camera: CameraNoise, dtype: np.dtype[Any]) -> LevelNoise:
+    """Return the noise of levels of a measure in frames of a camera; NaN without a measure, where none is wanted."""
+    greys = np.arange(2.0 ** (8 * dtype.itemsize))
+    if measure is None:
+        return LevelNoise(np.full(1, np.nan, np.float32), np.zeros(greys.size, np.float32))
+    over, octaves, of_noise, degree = _simulated(measure, window)
+    table = np.exp2(_extended(np.arange(NOISE_STEPS * _OCTAVES) / NOISE_STEPS, over, np.log2(octaves)))
+    variance = camera.gain_counts * greys + camera.floor_counts2
+    shift = 0.0 if focus_measures()[measure].uses_camera_noise else degree * np.log2(variance / _DEVIATION**2)
+    return LevelNoise(table.astype(np.float32), np.broadcast_to(of_noise + shift, greys.shape).astype(np.float32))
+
+
+def _extended(at: NDArray[np.float64], over: NDArray[np.float64], log: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate the logarithm of the noise; beyond the strongest texture it falls by half an octave in an octave."""
+    return np.interp(at, over, log) - 0.5 * np.maximum(at - over[-1], 0.0)
+
+
+@lru_cache(maxsize=64)
+def _simulated(measure: str, window: int) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """Return mean levels over that of noise, their standard deviations in octaves, log2 of the focus of noise, degree.
+
+    The degree is that of the focus in the variance of the grey: 1 for energies.
+    """
+    rng, margin = np.random.default_rng(_SEED), focus_measures()[measure].margin_px(window)
+    side = _SIDE_PX + 2 * margin
+    texture = rng.standard_normal((side, side))
+    for axis in (0, 1):
+        texture = convolve1d(texture, _TAPS, axis=axis)
+    texture *= _DEVIATION / texture.std()
+    noise = _DEVIATION * rng.standard_normal((len(_STRENGTHS), _FRAMES, side, side))
+    frames = _GREY + np.multiply.outer(_STRENGTHS, texture)[:, None] + noise
+    louder = _GREY + 2 * noise[:1]
+    levels = _log2_focus(measure, window, margin, np.concatenate([frames, louder]).reshape(-1, side, side))
+    levels = levels.reshape(len(_STRENGTHS) + 1, _FRAMES, -1)
+    mean, deviation = levels.mean(axis=(1, 2)), np.sqrt(levels.var(axis=1, ddof=1).mean(axis=1))
+    return mean[:-1] - mean[0], deviation[:-1], float(mean[0]), float(mean[-1] - mean[0]) / 2
+
+
+def _log2_focus(measure: str, window: int, margin: int, frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return log2 of the focus [k, row, col] within the margin of frames."""
+    kernels, grey, shape = focus_kernels(measure), frames.round().astype(np.uint16), (_SIDE_PX, _SIDE_PX)
+    source = StackSource.of(grey, np.arange(len(grey)), margin, margin, 65536)
+    levels, (best, peak, clipped) = np.empty((len(grey), *shape), np.uint16), np.empty((3, *shape), np.uint16)
+    volume = Volume(levels, best, peak, clipped, np.empty((0, 0, 0), np.uint16))
+    rows = kernels.make_rows(_SIDE_PX, window, grey.dtype)
+    kernels.fill(source, Focusing(window, _CAMERA), rows, volume)
+    table = kernels.table(grey.dtype).astype(np.float64)
+    return (levels >> (table.size.bit_length() - 1)) + table[levels & (table.size - 1)]
