@@ -143,7 +143,9 @@ def test_a_pixel_says_why_it_has_its_height(scan, surface, images):
     other = json.loads(viewer("why", scan, "--at", 745, 560, "--field", 2, "--recipe.window", 5).stdout)
     assert (other["field"], other["window"]) == (2, 5)
     taken = ["why", images, "--z-step-um", 2, "--pixel-um", 0.5]
-    assert json.loads(viewer(*taken, "--at", 3, -4).stdout)["peak_z_um"] == pytest.approx(10, abs=1)
+    found = json.loads(viewer(*taken, "--at", 3, -4).stdout)
+    assert found["peak_z_um"] == pytest.approx(10, abs=1)
+    assert 0 < found["u_um"] < 0.5
     assert "lies outside of field 1" in refused(*taken, "--at", 300, -4)
     assert "lies in no field of scan.wafer" in refused("why", scan, "--at", 0, 0)
     assert "is a surface without its frames" in refused("why", surface, "--at", 620, 560)
@@ -271,6 +273,8 @@ def test_images_become_a_surface_in_one_line(images, tmp_path):
         keys = {"z_um", "confidence", "origin", "all_in_focus", "pixel_um", "x0_um", "y0_um"}
         assert keys <= set(stored.files)
         assert np.nanmedian(stored["z_um"]) == pytest.approx(10, abs=0.5)
+        assert 0 < np.nanmedian(stored["u_um"]) < 0.5
+        assert np.isnan(stored["u_um"][np.isnan(stored["z_raw_um"])]).all()
 
 
 def test_a_recipe_is_a_file_and_its_settings_are_flags(images, tmp_path):

@@ -13,8 +13,8 @@ from wafer_viewer.model.surface_format import SurfaceFormat
 F = TypeVar("F", bound=Callable[..., object])
 _STORE = "wafer_viewer.store.formats"
 _HEIGHTS_ONLY = (
-    "It holds heights only: confidence, the all-in-focus picture, measured heights, what was filled in and why "
-    "pixels are unmeasured stay behind"
+    "It holds heights only: confidence, uncertainty, the all-in-focus picture, measured heights, what was filled in "
+    "and why pixels are unmeasured stay behind"
 )
 _MESH = "It is a drawing, not data: a part of the heights as a mesh, without gaps marked, and is not read back"
 MESH_POINTS = 1_000_000
@@ -74,8 +74,8 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".pcd",),
         title="PCD, points",
-        loses="It holds points with a height as 32-bit floats, x and y from the corner of the surface: confidence, the "
-        "all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
+        loses="It holds points with a height as 32-bit floats, x and y from the corner of the surface: confidence, "
+        "uncertainty, the all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
         layout="µm from the surface's corner, which a comment names: Open3D reads zeros from 64-bit PCD",
         reader=f"{_STORE}.pcd:read_pcd",
         writer=f"{_STORE}.pcd:write_pcd",
@@ -83,8 +83,8 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".csv",),
         title="CSV, x y z",
-        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, the "
-        "all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
+        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, "
+        "uncertainty, the all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
         layout="stage µm",
         reader=f"{_STORE}.text_table:read_table",
         writer=f"{_STORE}.text_table:write_csv",
@@ -92,8 +92,9 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".xyz",),
         title="XYZ, x y z",
-        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, the "
-        "all-in-focus picture, measured heights, what was filled in and why pixels are unmeasured stay behind.",
+        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, "
+        "uncertainty, the all-in-focus picture, measured heights, what was filled in and why pixels are unmeasured "
+        "stay behind.",
         layout="stage µm",
         reader=f"{_STORE}.text_table:read_table",
         writer=f"{_STORE}.text_table:write_xyz",

@@ -358,6 +358,26 @@ def test_differences_of_overlaps_are_those_of_what_was_measured(make_map: MakeMa
         np.testing.assert_allclose(found[observed >= 2], span, atol=1e-6)
 
 
+def test_uncertainties_are_averaged_with_the_weights_of_their_heights(make_map: MakeMap) -> None:
+    maps = [make_map(np.full((40, 60), z), x, u_um=np.full((40, 60), u, np.float32)) for z, x, u in
+            ((1.0, 0.0, 0.1), (2.0, 10.0, 0.5))]  # fmt: skip
+    for blend in BLENDS:
+        window = stitched(maps, blend).window()
+        share = window.z_raw_um - 1
+        assert ((share > 0.1) & (share < 0.9)).any()
+        np.testing.assert_allclose(window.u_um, 0.1 + 0.4 * share, atol=1e-5)
+
+
+def test_a_field_without_uncertainties_leaves_them_unknown(make_map: MakeMap) -> None:
+    known = make_map(np.zeros((40, 60)), 0.0, u_um=np.full((40, 60), 0.1, np.float32))
+    known.z_raw_um[5, 5] = np.nan
+    found = stitched([known, make_map(np.zeros((40, 60)), 10.0)]).window().u_um
+    assert found is not None
+    assert np.isnan(found[:, 21:]).all()
+    assert np.isfinite(np.delete(found[:, :19].ravel(), 5 * 19 + 5)).all()
+    assert np.isnan(found[5, 5]), "no height, no uncertainty"
+
+
 def test_brightness_changes_without_a_line(make_map: MakeMap) -> None:
     dark, light = (
         make_map(np.zeros((40, 90)), x, all_in_focus=np.full((40, 90), g, np.uint8))

@@ -15,6 +15,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.formats.exporters import caveats, export
 from wafer_viewer.store.formats.npz_file import read_npz
+from wafer_viewer.store.formats.readers import read_surface
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 TEXTS = [ending for ending in WRITTEN if ending not in (".npz", ".glb")]
@@ -34,6 +35,38 @@ def test_differences_of_overlaps_are_written_too(tmp_path):
     overlap = np.where(surface.origin == 0, np.float32(0.25), np.float32(np.nan))
     export(dataclasses.replace(surface, overlap_um=overlap), tmp_path / "a.npz")
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz").overlap_um, overlap)
+
+
+@pytest.mark.parametrize("ending", [".npz", ".gwy", ".ply"])
+def test_uncertainties_come_back_from_formats_with_layers(tmp_path, ending):
+    surface = uncertain()
+    export(surface, tmp_path / f"a{ending}")
+    back = read_surface(tmp_path / f"a{ending}")
+    expected = surface.u_um if ending != ".ply" else np.where(np.isfinite(surface.z_um), surface.u_um, np.nan)
+    np.testing.assert_allclose(back.u_um, expected, rtol=1e-6)
+    export(make_surface(), tmp_path / f"b{ending}")
+    assert read_surface(tmp_path / f"b{ending}").u_um is None
+
+
+def test_every_other_pixel_has_its_own_uncertainty(tmp_path):
+    surface = uncertain()
+    export(surface, tmp_path / "a.npz", every=2)
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz").u_um, surface.u_um[::2, ::2])
+
+
+def test_an_npz_of_an_earlier_version_opens_without_uncertainties(tmp_path):
+    export(uncertain(), tmp_path / "new.npz")
+    with np.load(tmp_path / "new.npz") as file:
+        np.savez(tmp_path / "old.npz", **{name: file[name] for name in file if name != "u_um"})
+    back = read_npz(tmp_path / "old.npz")
+    assert back.u_um is None
+    assert_same_surface(back, make_surface())
+
+
+def uncertain() -> HeightMap:
+    surface = make_surface()
+    u_um = np.linspace(0.1, 0.4, surface.z_um.size, dtype=np.float32).reshape(surface.shape)
+    return dataclasses.replace(surface, u_um=np.where(surface.measured, u_um, np.float32(np.nan)))
 
 
 def test_npz_has_the_keys_that_others_read(tmp_path):

@@ -20,6 +20,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic.missing_shards import missing_files
 from wafer_viewer.store.mosaic.zarr_mosaic import (
     ZarrMosaic,
     lay_out,
@@ -277,6 +278,31 @@ def test_the_differences_of_overlaps_are_kept_and_averaged_on_the_way_up(tmp_pat
     assert np.isnan(stored.window(level=2).overlap_um[0, 0])
     assert not (stored.path / "overlap_um/0/c/1/0").exists()
     assert stored.facts().overlaps_um.size > 0
+
+
+def test_uncertainties_are_kept_and_averaged_on_the_way_up(tmp_path, surface):
+    u_um = np.full(surface.shape, np.nan, np.float32)
+    u_um[40:60, 80:100] = 0.2
+    u_um[50:60] *= 3
+    stored = write_mosaic(tmp_path / "m.zarr", dataclasses.replace(surface, u_um=u_um))
+    np.testing.assert_array_equal(stored.window().u_um, u_um)
+    assert stored.window(level=2).u_um[12, 20] == pytest.approx(0.4)
+    assert np.isnan(stored.window(level=2).u_um[0, 0])
+
+
+def test_a_mosaic_of_an_earlier_version_is_read_and_goes_on_without_uncertainties(tmp_path, surface):
+    stored = write_mosaic(
+        tmp_path / "m.zarr", dataclasses.replace(surface, u_um=np.full(surface.shape, 0.2, np.float32))
+    )
+    shutil.rmtree(stored.path / "u_um")
+    old = ZarrMosaic.open(stored.path)
+    assert old.window().u_um is None
+    np.testing.assert_array_equal(old.window().z_um, surface.z_um)
+    for patch in patches(surface.shape):
+        write_patch(old.path, surface, patch)
+    assert old.window(level=1).u_um is None
+    assert not (old.path / "u_um").exists()
+    assert list(missing_files(old)) == []
 
 
 def test_a_small_defect_is_seen_at_the_top(tmp_path):

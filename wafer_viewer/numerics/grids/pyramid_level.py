@@ -15,7 +15,7 @@ Layers = dict[str, NDArray[Any]]
 _BEYOND = 255
 """Origin code of the padding at an odd edge; every other code takes precedence."""
 _NOT_COVERED = int(Origin.NOT_COVERED)
-_MEANS = ("z_raw_um", "confidence", "overlap_um")
+_MEANS = ("z_raw_um", "confidence", "overlap_um", "u_um")
 
 
 def halve(layers: Layers) -> Layers:

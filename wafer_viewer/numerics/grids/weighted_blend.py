@@ -29,6 +29,7 @@ class Blended(NamedTuple):
     confidence: Float32s
     origin: UInt8s
     overlap: Float32s
+    u: Float32s
 
 
 class BlendPiece(NamedTuple):
@@ -41,6 +42,7 @@ class BlendPiece(NamedTuple):
     raw: Float32s
     confidence: Float32s
     origin: UInt8s
+    u: Float32s
     belief: Float32s
     row_weights: Float32s
     col_weights: Float32s
@@ -81,7 +83,8 @@ def accumulate(
     """Blend one more field into a piece of the window that starts at (row, col).
 
     A measured height replaces a filled one. Of two that differ by more than `limit`, the one with the larger weight is
-    used; others are averaged by their weights. scratch: [2, columns].
+    used; others are averaged by their weights, and so are their standard uncertainties: no correlation of two fields
+    makes the mean less certain than that. scratch: [2, columns].
     """
     n = piece.col_weights.size
     new, share = scratch[0], scratch[1]
@@ -94,6 +97,7 @@ def accumulate(
         _mix(z, piece.z[r], share)
         _mix(raw, piece.raw[r], share)
         _mix(window.confidence[row + r, col : col + n], piece.confidence[r], share)
+        _mix(window.u[row + r, col : col + n], piece.u[r], share)
         _update_origins(origin, piece.origin[r], share)
         _update_weights(weight, new, share)
         _extend_range(tally.lowest[r], tally.highest[r], piece.raw[r], window.overlap[row + r, col : col + n])

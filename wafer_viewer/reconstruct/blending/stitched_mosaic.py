@@ -32,12 +32,13 @@ from wafer_viewer.reconstruct.blending.window_blend import BLENDS, blend_layers,
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
+OPTIONAL = ("overlap_um", "u_um")
 
 
 def layers_of(height: HeightMap) -> dict[str, NDArray[Any]]:
-    """Return the layers of a map by name, including the overlap differences if it has them."""
-    names = LAYERS if height.overlap_um is None else (*LAYERS, "overlap_um")
-    return {name: getattr(height, name) for name in names}
+    """Return the layers of a map by name, including those of `OPTIONAL` that it has."""
+    layers = {name: getattr(height, name) for name in (*LAYERS, *OPTIONAL)}
+    return {name: layer for name, layer in layers.items() if layer is not None}
 
 
 def halved(height: HeightMap) -> HeightMap:

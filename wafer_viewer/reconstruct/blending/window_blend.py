@@ -261,7 +261,7 @@ def _within_ramps(from_start: Weights, to_end: Weights, start_px: float, end_px:
 
 def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
     """Return the layers of a window without fields."""
-    z, raw, overlap = (np.full(shape, np.nan, np.float32) for _ in range(3))
+    z, raw, overlap, u = (np.full(shape, np.nan, np.float32) for _ in range(4))
     return {
         "z_um": z,
         "z_raw_um": raw,
@@ -269,6 +269,7 @@ def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
         "all_in_focus": np.zeros(shape, grey),
         "origin": np.full(shape, Origin.NOT_COVERED, np.uint8),
         "overlap_um": overlap,
+        "u_um": u,
     }
 
 
@@ -287,18 +288,20 @@ def _fill(
     placed.heights(first.z_raw_um, _max_step_um(first), window["z_raw_um"], row, col)
     window["confidence"][area] = placed.nearest(first.confidence)
     window["origin"][area] = placed.nearest(first.origin)
+    window["u_um"][area] = placed.nearest(_u_um(first))
     if len(fields) > 1:
         _blend_in(window, area, fields, blend)
     weighted_blend.round_grey(
         _grey([(height.all_in_focus, placed) for height, placed in fields]), window["all_in_focus"], row, col
     )
+    window["u_um"][area][np.isnan(window["z_raw_um"][area])] = np.nan
 
 
 def _blend_in(
     window: dict[str, Any], area: Part, fields: Sequence[tuple[HeightMap, PlacedWindow]], blend: Blend
 ) -> None:
     """Blend the other fields into a piece that holds the first."""
-    blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um")))
+    blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um", "u_um")))
     first, placed = fields[0]
     raw = blended.raw[area]
     tally = Tally(placed.fade.weights * placed.belief(first, blend), raw.copy(), raw.copy())
@@ -314,8 +317,16 @@ def _read(height: HeightMap, placed: PlacedWindow, blend: Blend) -> BlendPiece:
     z, raw = (np.empty(placed.shape, np.float32) for _ in range(2))
     placed.heights(height.z_um, _max_step_um(height), z, 0, 0)
     placed.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
-    confidence, origin = (fixed(placed.nearest(layer)) for layer in (height.confidence, height.origin))
-    return BlendPiece(z, raw, confidence, origin, placed.belief(height, blend), placed.fade.rows, placed.fade.cols)
+    confidence, origin, u = (
+        fixed(placed.nearest(layer)) for layer in (height.confidence, height.origin, _u_um(height))
+    )
+    return BlendPiece(z, raw, confidence, origin, u, placed.belief(height, blend), placed.fade.rows, placed.fade.cols)
+
+
+def _u_um(height: HeightMap) -> Float32s:
+    """Return the standard uncertainty of each height, NaN where it is not known."""
+    unknown = np.broadcast_to(np.float32(np.nan), height.shape)
+    return unknown if height.u_um is None else height.u_um
 
 
 def _grey(fields: Sequence[tuple[Image, PlacedWindow]]) -> Float32s:

@@ -121,6 +121,7 @@ def reoriented(height: HeightMap, turn: Turn) -> HeightMap:
         confidence=confidence,
         all_in_focus=all_in_focus,
         origin=origin,
+        u_um=None if height.u_um is None else turn(height.u_um),
         x0_um=height.x0_um - wider * height.pixel_um,
         y0_um=height.y0_um + taller * height.pixel_um,
     )

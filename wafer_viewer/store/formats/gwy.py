@@ -123,6 +123,8 @@ CHANNELS = (
     Channel("all_in_focus", "All in focus"),
     Channel("origin", "Origin"),
 )
+UNCERTAINTY = Channel("u_um", "Standard uncertainty", "m", _M, has_gaps=True)
+"""Channel of a surface that has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,7 @@ def write_gwy(strips: Strips, path: Path) -> None:
 
     Raises DatasetError if the heights alone exceed it.
     """
-    parts = _parts(strips, CHANNELS[:1] if lost_layers(strips) else CHANNELS)
+    parts = _parts(strips, CHANNELS[:1] if lost_layers(strips) else _channels(strips))
     if _size(strips, parts) > _LARGEST_BYTES:
         raise DatasetError(f"{path.name} would pass the 4 GB of a GWY file: take X3P, or fewer points with --every 2.")
     arrays = [part for part in parts if isinstance(part, _Numbers)]
@@ -154,8 +156,12 @@ def write_gwy(strips: Strips, path: Path) -> None:
 
 def lost_layers(strips: Strips) -> str:
     """Return a sentence if only the heights of a surface fit into the 4 GB limit, otherwise an empty text."""
-    fits = _size(strips, _parts(strips, CHANNELS)) <= _LARGEST_BYTES
+    fits = _size(strips, _parts(strips, _channels(strips))) <= _LARGEST_BYTES
     return "" if fits else "All layers would pass the 4 GB of a GWY file: it holds heights only."
+
+
+def _channels(strips: Strips) -> tuple[Channel, ...]:
+    return (*CHANNELS, UNCERTAINTY) if strips.has_uncertainty else CHANNELS
 
 
 def read_gwy(path: Path, options: ReadOptions) -> HeightMap:
@@ -205,7 +211,7 @@ def _surface(
         return heights_only(options, z_um, *place, came_from)
     confidence, grey, origin = (channels[n] for n in wanted[2:] if n is not None)
     require_some(options, np.isfinite(z_um))
-    greys = grey["data"].reshape(rows, cols)
+    greys, of_u = grey["data"].reshape(rows, cols), titles.get(UNCERTAINTY.title)
     return HeightMap(
         z_um=z_um,
         z_raw_um=_heights(tree, wanted[1] or 0, channels, options),
@@ -216,6 +222,7 @@ def _surface(
         x0_um=place[1],
         y0_um=place[2],
         provenance=came_from,
+        u_um=None if of_u is None else _heights(tree, of_u, channels, options),
     )
 
 

@@ -1,7 +1,7 @@
 """Height map as ``.npz``: uncompressed, so that its layers can be memory-mapped.
 
-Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; for a mosaic also overlap_um; for a field also
-refused_at, refused_z_um, refused_reason [n]; pixel_um, x0_um, y0_um; provenance, a JSON text.
+Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; u_um, if it is known; for a mosaic also overlap_um;
+for a field also refused_at, refused_z_um, refused_reason [n]; pixel_um, x0_um, y0_um; provenance, a JSON text.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from wafer_viewer.store.formats.surface_strips import Strips
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
-OVERLAP = "overlap_um"
+OPTIONAL = ("overlap_um", "u_um")
+"""Layers that not every surface has; older files lack u_um."""
+THINNED = ("u_um",)
+"""Those of them that every n-th pixel of a surface keeps."""
 REFUSED = {"at": "refused_at", "z_um": "refused_z_um", "reason": "refused_reason"}
 """Attributes of `RefusedHeights` and their keys; older files have none of them."""
 PLACE = ("pixel_um", "x0_um", "y0_um")
@@ -36,7 +39,7 @@ _LOCAL_HEADER = struct.Struct("<26xHH")
 def write_npz(surface: HeightMap, path: Path) -> None:
     """Write a height map to a path with any suffix."""
     arrays: dict[str, Any] = {name: getattr(surface, name) for name in (*LAYERS, *PLACE)}
-    arrays |= {} if surface.overlap_um is None else {OVERLAP: surface.overlap_um}
+    arrays |= {name: layer for name in OPTIONAL if (layer := getattr(surface, name)) is not None}
     if surface.refused is not None:
         arrays |= {key: getattr(surface.refused, name) for name, key in REFUSED.items()}
     with path.open("wb") as file:
@@ -48,8 +51,8 @@ def write_npz_strips(strips: Strips, path: Path) -> None:
     """Write a surface layer by layer and strip by strip, with only a few rows in memory."""
     surface, (rows, cols) = strips.surface, strips.shape
     corner = surface.window(Region.point(surface.x0_um, surface.y0_um))
-    with_overlap = corner.overlap_um is not None and strips.every == 1
-    names = (*LAYERS, OVERLAP) if with_overlap else LAYERS
+    optional = OPTIONAL if strips.every == 1 else THINNED
+    names = (*LAYERS, *(name for name in optional if getattr(corner, name) is not None))
     header = {"provenance": encode(surface.provenance, "json"), "x0_um": surface.x0_um, "y0_um": surface.y0_um}
     with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
         for part, name in enumerate(names):
@@ -109,7 +112,7 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
         if verify:
             require_good_archive(place)
         with zipfile.ZipFile(place) as archive, place.open("rb") as file:
-            names = (*LAYERS, OVERLAP) if f"{OVERLAP}.npy" in archive.namelist() else LAYERS
+            names = (*LAYERS, *(name for name in OPTIONAL if f"{name}.npy" in archive.namelist()))
             layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in names}
             refused = _read_refused(place, file, archive)
         with np.load(place) as members:

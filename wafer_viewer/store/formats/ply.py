@@ -1,4 +1,7 @@
-"""PLY: measured points, stage um as 64-bit floats, grey from the all-in-focus image, origin and confidence."""
+"""PLY: measured points, stage um as 64-bit floats, grey from the all-in-focus image, origin and confidence.
+
+Points of a surface with uncertainties also have u_um, the standard uncertainty (k = 1) in um.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,9 @@ def write_ply(strips: Strips, path: Path) -> None:
         *(f"double {c}" for c in "xyz"),
         *(f"uchar {c}" for c in ("red", "green", "blue", "origin")),
         "float confidence",
+        *(["float u_um"] if strips.has_uncertainty else []),
     ]
+    kind = np.dtype([*_POINT.descr, *([("u_um", "<f4")] if strips.has_uncertainty else [])])
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -59,10 +64,12 @@ def write_ply(strips: Strips, path: Path) -> None:
         file.write(("\n".join(header) + "\n").encode())
         for part in strips.maps(1, 2):
             rows, cols = np.nonzero(np.isfinite(part.z_um))
-            points = np.empty(len(rows), _POINT)
+            points = np.empty(len(rows), kind)
             points["xyz"] = points_of(part, rows, cols)
             points["rgb"] = eight_bits(part.all_in_focus)[rows, cols, None]
             points["origin"], points["confidence"] = part.origin[rows, cols], part.confidence[rows, cols]
+            if part.u_um is not None:
+                points["u_um"] = part.u_um[rows, cols]
             file.write(points.tobytes())
 
 
@@ -121,5 +128,5 @@ def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:
     fields = [(name, _ORDERS[head.order] + kind) for name, kind in head.fields.items()]
     read = text_records if head.order == "ascii" else records
     for block, _ in zip(read(path, head.begin, head.n_points, fields, options), options.watch(starts), strict=True):
-        named = {name: block[name] for name in ("x", "y", "z", "origin", "confidence") if name in head.fields}
+        named = {name: block[name] for name in ("x", "y", "z", "origin", "confidence", "u_um") if name in head.fields}
         yield named | ({"grey": block["red"]} if head.fields.get("red") == "u1" else {})

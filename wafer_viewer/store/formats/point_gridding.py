@@ -98,6 +98,7 @@ class _Layers:
         self._z = np.full(self._n, np.nan, np.float32)
         self._origin: NDArray[np.uint8] | None = None
         self._confidence: NDArray[np.float32] | None = None
+        self._u: NDArray[np.float32] | None = None
         self._grey: NDArray[np.uint8] | None = None
 
     def put(self, index: NDArray[np.int64], z_um: Floats, block: Block) -> bool:
@@ -113,6 +114,9 @@ class _Layers:
         if "confidence" in block:
             self._confidence = np.zeros(self._n, np.float32) if self._confidence is None else self._confidence
             self._confidence[index] = block["confidence"]
+        if "u_um" in block:
+            self._u = np.full(self._n, np.nan, np.float32) if self._u is None else self._u
+            self._u[index] = block["u_um"]
         if "grey" in block:
             self._grey = np.zeros(self._n, np.uint8) if self._grey is None else self._grey
             self._grey[index] = block["grey"]
@@ -134,6 +138,8 @@ class _Layers:
                 layers["z_raw_um"] = np.where(filled, np.float32(np.nan), plain.z_um)
         if self._confidence is not None:
             layers["confidence"] = self._confidence.reshape(shape)
+        if self._u is not None:
+            layers["u_um"] = self._u.reshape(shape)
         if self._grey is not None:
             layers["all_in_focus"] = self._grey.reshape(shape)
         return replace(plain, **layers)

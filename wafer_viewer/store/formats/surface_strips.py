@@ -46,6 +46,11 @@ class Strips:
         return self.surface.pixel_um * self.every
 
     @property
+    def has_uncertainty(self) -> bool:
+        """True if the surface has the layer of uncertainties."""
+        return self.surface.window(Region.point(self.surface.x0_um, self.surface.y0_um)).u_um is not None
+
+    @property
     def low_y_um(self) -> float:
         """Stage y of the last written row."""
         return self.surface.y0_um - (self.shape[0] - 1) * self.pixel_um
@@ -84,7 +89,14 @@ class Strips:
 def thinned(surface: HeightMap, every: int) -> HeightMap:
     """Return every n-th row and column of a map: measured heights, not means."""
     sparse = slice(None, None, every)
-    names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
+    names = (
+        "z_um",
+        "z_raw_um",
+        "confidence",
+        "all_in_focus",
+        "origin",
+        *(("u_um",) if surface.u_um is not None else ()),
+    )
     layers = {
         name: getattr(surface, name)[sparse, sparse].copy() for name in names
     }  # a view would keep the full array in memory

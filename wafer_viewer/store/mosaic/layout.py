@@ -28,7 +28,10 @@ FILLS: dict[str, float] = {
     "all_in_focus": 0,
     "origin": Origin.NOT_COVERED,
     "overlap_um": math.nan,
+    "u_um": math.nan,
 }
+NOT_IN_OLDER = ("u_um",)
+"""Layers that mosaics of earlier versions lack."""
 SPANS = ("z_min_um", "z_max_um")
 SURFACE = tuple(name for name in FILLS if name not in SPANS)
 

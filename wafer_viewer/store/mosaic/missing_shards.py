@@ -13,7 +13,7 @@ from pathlib import Path
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
 from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.layout import FILLS, GROUP, SPANS, levels_of
+from wafer_viewer.store.mosaic.layout import GROUP, SPANS, levels_of
 from wafer_viewer.store.mosaic.statistics import FACTS, blocks_with_heights
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
@@ -42,7 +42,7 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
     DatasetError
         When a file that the check needs is damaged.
     """
-    for name in HEIGHTS if heights_only else FILLS:
+    for name in HEIGHTS if heights_only else mosaic.layer_names:
         levels = levels_of(name, mosaic.header)
         shards = {level: _shards(mosaic.path / name / str(level)) for level in levels}
         for level in levels[1:]:

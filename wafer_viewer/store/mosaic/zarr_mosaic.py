@@ -41,6 +41,7 @@ from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.layout import (
     FILLS,
     GROUP,
+    NOT_IN_OLDER,
     OWN,
     SPANS,
     SURFACE,
@@ -220,7 +221,9 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
 
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left
-    layers: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}
+    layers: Layers = {
+        name: np.full(shape, FILLS[name], shards_of(name, stored.header).dtype) for name in stored.layer_names
+    }
     below = partial(_drawn, stored, source) if patch.level == 1 else partial(stored.layers, patch.level - 1)
     for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
         top, left = rows.start // 2 - patch.top, cols.start // 2 - patch.left
@@ -255,8 +258,9 @@ def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Laye
     """Write a window of level 0 from the source, and return its layers."""
     x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
     part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
-    layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
-    layers.setdefault("overlap_um", np.full(part.shape, np.nan, np.float32))
+    unknown = np.full(part.shape, np.nan, np.float32)
+    held = ((name, getattr(part, name)) for name in SURFACE if name in stored.layer_names)
+    layers: Layers = {name: unknown if layer is None else layer for name, layer in held}
     _write_layers(stored, 0, rows.start, cols.start, layers)
     with os_errors_as_dataset_errors(stored.path):
         save_statistics(stored.path, stored.shape, rows.start, cols.start, layers)
@@ -326,6 +330,11 @@ class ZarrMosaic:
         return self.header.provenance
 
     @cached_property
+    def layer_names(self) -> tuple[str, ...]:
+        """Names of its layers; one of an earlier version lacks those of `NOT_IN_OLDER`."""
+        return tuple(name for name in FILLS if name not in NOT_IN_OLDER or (self.path / name).is_dir())
+
+    @cached_property
     def poses(self) -> Poses | None:
         """Field poses from the enclosing result; None if it has none."""
         file = self.path.parent / POSES
@@ -337,7 +346,7 @@ class ZarrMosaic:
         Raises MeasureError when the region is outside, DatasetError when there is no such level.
         """
         rows, cols = self._window(region, level)
-        layers = {name: self.read(name, level, rows, cols) for name in SURFACE}
+        layers = {name: self.read(name, level, rows, cols) for name in SURFACE if name in self.layer_names}
         pixel_um, x0_um, y0_um = self._lattice(level, rows, cols)
         return HeightMap(
             **layers, refused=None, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance
@@ -370,7 +379,7 @@ class ZarrMosaic:
 
     def layers(self, level: int, rows: slice, cols: slice) -> Layers:
         """Return a part of all layers of a level."""
-        names = [name for name in FILLS if level in levels_of(name, self.header)]
+        names = [name for name in self.layer_names if level in levels_of(name, self.header)]
         return {name: self.read(name, level, rows, cols) for name in names}
 
     def read(self, name: str, level: int, rows: slice, cols: slice) -> NDArray[Any]:
