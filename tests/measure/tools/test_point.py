@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -53,6 +54,26 @@ def test_a_wrong_height_nearby_changes_nothing():
     surface.z_raw_um[100, 150] += 50
     near = Region.point(surface.x_um[150], surface.y_um[100])
     assert point_height(surface, near).height.value_um == pytest.approx(20 + TILT * surface.x_um[150], abs=0.05)
+
+
+def test_a_faint_pixel_is_less_certain_than_the_area_around_it():
+    surface, place = slope(noise_um=0.01), Region.point(40.25, 10.25)
+    around = point_height(surface, place).height
+    u_um = np.full(surface.shape, 0.001, np.float32)
+    assert point_height(dataclasses.replace(surface, u_um=u_um), place).height == around
+    faint = point_height(dataclasses.replace(surface, u_um=u_um + np.float32(0.5)), place).height
+    assert faint.expanded_um == pytest.approx(1.0, rel=0.01)
+    assert point_height(dataclasses.replace(surface, u_um=u_um + 0.5), place, layer="smoothed").height.value_um
+
+
+def test_a_pixel_with_an_uncertainty_needs_no_area_around_it():
+    surface = slope(noise_um=0.0)
+    surface.z_raw_um[:] = np.where(np.hypot(*np.indices(surface.shape) - np.array([100, 150])[:, None, None]) < 4,
+                                   surface.z_raw_um, np.nan)  # fmt: skip
+    place = Region.point(surface.x_um[150], surface.y_um[100])
+    assert point_height(surface, place).height.status == "not evaluated"
+    found = point_height(dataclasses.replace(surface, u_um=np.full(surface.shape, 0.3, np.float32)), place).height
+    assert found.expanded_um == pytest.approx(0.6, rel=0.05)
 
 
 def test_where_little_is_measured_there_is_a_height_and_no_uncertainty():

@@ -16,7 +16,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Distance, PointHeight
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 
 NEXT_PX = 1.5
 """Radius of the median for a height: nine pixels where none is missing."""
@@ -71,7 +71,7 @@ def point_height(
     -------
     PointHeight
         Height in um with its expanded uncertainty (k = 2), and the number of pixels of its median. The uncertainty is
-        not evaluated where fewer than 100 points are measured around the point.
+        not evaluated where fewer than 100 points are measured around the point and its own is not known.
 
     Raises
     ------
@@ -84,7 +84,8 @@ def point_height(
     -----
     The height is the median of the measured pixels within 1.5 pixels, nine where none is missing. Its noise follows
     from the standard deviation about a plane through the points within five focus windows, without outliers, and from
-    the correlation of their errors.
+    the correlation of their errors; it is at least the uncertainty of the pixel itself (`HeightMap.u_um`), which alone
+    is left where too few points are measured.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     spot = _spot(reading, place)
@@ -128,7 +129,8 @@ def distance(
     Distance
         Distance in space, lateral distance, and height difference, in um, and slope in degrees, with expanded
         uncertainties (k = 2). The height difference and the slope are positive when `end` is higher. Except for the
-        lateral distance, the uncertainty is not evaluated where fewer than 100 points are measured around a point.
+        lateral distance, the uncertainty is not evaluated where fewer than 100 points are measured around a point and
+        its own is not known.
 
     Raises
     ------
@@ -177,7 +179,7 @@ def _spot(reading: MeasurementContext, place: Region) -> Spot:
     if place.kind != "point":
         raise MeasureError(f"A height is measured at a point, this region is a {place.kind}: set a point.")
     point, pixel_um = place.points[0], reading.surface.pixel_um
-    reading.surface.window(place)
+    pixel = reading.surface.window(place)
     near = points_in(
         reading.surface, Region.circle(point.x_um, point.y_um, _reach_px(reading) * pixel_um), reading.layer, 0
     )
@@ -187,8 +189,26 @@ def _spot(reading: MeasurementContext, place: Region) -> Spot:
             f"No height was measured at ({point.x_um:.1f}, {point.y_um:.1f}) um: "
             "set the point where the surface has no holes."
         )
-    noise_um = _noise_um(near, adjacent, pixel_um)
+    noise_um = _at_least(_noise_um(near, adjacent, pixel_um), _peak_noise_um(reading, pixel))
     return Spot(point.x_um, point.y_um, float(np.median(near.z_um[adjacent])), noise_um, int(adjacent.sum()))
+
+
+def _peak_noise_um(reading: MeasurementContext, pixel: HeightMap) -> float | None:
+    """Return the uncertainty of the pixel without what its frames cause, which has lines of its own; None if unknown.
+
+    Errors of adjacent pixels are alike: their median has that of one.
+    """
+    u_um = np.nan if pixel.u_um is None or reading.layer != "unsmoothed" else float(pixel.u_um.max(initial=-np.inf))
+    if not np.isfinite(u_um):
+        return None
+    of_frames_um = math.hypot(*reading.frame_lines(math.sqrt(0.5)).values())
+    return math.sqrt(max(0.0, u_um**2 - of_frames_um**2))
+
+
+def _at_least(scatter_um: float | None, peak_um: float | None) -> float | None:
+    """Return the larger one: the scatter of a rough area may miss a faint place, and a small area has none."""
+    known = [u_um for u_um in (scatter_um, peak_um) if u_um is not None]
+    return max(known) if known else None
 
 
 def _reach_px(reading: MeasurementContext) -> int:
