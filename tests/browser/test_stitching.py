@@ -6,6 +6,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
@@ -89,6 +90,24 @@ def test_the_surface_is_coloured_by_the_difference_in_overlaps(serve: Serve, sti
     whole = stitched.shelf.surfaces[0]
     stitched.shelf.surfaces[0] = dataclasses.replace(whole, overlap_um=None)
     stitched.change(surface=dataclasses.replace(shown.surface, stamp=2))
+    expect(bar).to_have_count(0)
+    expect(dropdown(page, "Colour by")).to_have_value("Height")
+
+
+def test_the_surface_is_coloured_by_its_uncertainty(serve: Serve, stitched: StitchedSession):
+    whole = stitched.shelf.surfaces[0]
+    u_um = np.where(np.isfinite(whole.z_raw_um), np.float32(0.125), np.float32(np.nan))
+    stitched.shelf.surfaces[0] = dataclasses.replace(whole, u_um=u_um)
+    page = serve(stitched)
+    go_to(page, "Surface")
+    choose(page, "Colour by", "Uncertainty")
+    bar = page.locator("[data-floating-window]", has_text="not known")
+    expect(bar).to_contain_text("U, k = 2 µm")
+    eventually(
+        lambda: any(r.look.colour_by == "uncertainty" for r in stitched.painted), "tiles in those colours were asked"
+    )
+    stitched.shelf.surfaces[0] = whole
+    stitched.change(surface=dataclasses.replace(stitched.snapshot.surface, stamp=2))
     expect(bar).to_have_count(0)
     expect(dropdown(page, "Colour by")).to_have_value("Height")
 

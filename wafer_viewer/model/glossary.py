@@ -89,9 +89,15 @@ GLOSSARY: tuple[Term, ...] = (
     Term("gate", "Surface", "A test that a peak must pass; a pixel that fails one is unmeasured, with the reason."),
     Term("confidence", "Surface", "How far a peak stands out of its focus curve, from 0 to 1."),
     Term(
+        "uncertainty of a height",
+        "Surface",
+        "Standard uncertainty of one measured height, from noise, frames and the form under the focus window.",
+        "GUM",
+    ),
+    Term(
         "height map",
         "Surface",
-        "The heights of one field, a pixel each, with confidence and origin.",
+        "The heights of one field, a pixel each, with confidence, uncertainty and origin.",
         "",
         ("depth map",),
     ),

@@ -211,6 +211,21 @@ def test_a_difference_is_coloured_where_fields_overlap_and_the_rest_is_grey():
     assert (picture[:, 55:, 3] == 0).all()
 
 
+def test_an_uncertainty_is_coloured_expanded_and_grey_where_it_is_not_known():
+    u_um = np.full((40, 60), np.nan, np.float32)
+    u_um[:, 20:30], u_um[:, 30:40] = 0.0, 0.25
+    surface = dataclasses.replace(height_map(np.zeros((40, 60))), u_um=u_um)
+    picture = bake(surface, DisplayStyle("uncertainty", "cividis", 0.0, 0.5, hillshade=0.0), Light())
+    assert picture[5, 25, :3].tolist() == table("cividis")[0].tolist()
+    assert picture[5, 35, :3].tolist() == table("cividis")[255].tolist()
+    assert picture[5, 5, :3].tolist() == list(ELSEWHERE)
+    assert (picture[..., 3] == 255).all()
+    half = reduced(surface, 2).u_um
+    assert half is not None
+    assert half[3, 17] == pytest.approx(0.25)
+    assert np.isnan(half[3, 2])
+
+
 def test_a_coarser_map_keeps_what_is_known_of_overlaps():
     overlap = np.full((8, 8), np.nan, np.float32)
     overlap[:, :3] = 0.4

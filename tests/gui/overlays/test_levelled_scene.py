@@ -161,6 +161,22 @@ def test_the_read_out_is_over_the_chosen_zero_and_says_so() -> None:
     assert shown[-1] == ""
 
 
+def test_the_read_out_says_how_sure_the_height_is_where_that_is_known() -> None:
+    known, unknown = ReadOut(20.0, 0.9, Origin.MEASURED, 0.125), ReadOut(20.0, 0.9, Origin.MEASURED)
+    shown: list[str] = []
+    view = View(step="surface")
+    for read in (known, unknown):
+        session = SimpleNamespace(read_out=lambda *_, read=read: read, snapshot=SNAPSHOT)
+        page = SimpleNamespace(view=view, session=session, redraw=lambda: None)
+        box = object.__new__(ReadOutBox)
+        box._page, box._panel = page, SimpleNamespace(show=lambda text, **_: shown.append(text))  # type: ignore
+        box.at(100.0, 30.0)
+        box.show(SNAPSHOT, view)
+    assert "+20.00 ± 0.25" in shown[0]
+    assert "k = 2" in shown[0]
+    assert "±" not in shown[1]
+
+
 def test_a_deviation_from_the_form_leaves_what_is_no_bowl() -> None:
     x = np.linspace(-1, 1, SIDE)
     z = 30 * (x[None, :] ** 2 + 0.5 * x[:, None] ** 2) + 4 * x[None, :] * x[:, None]

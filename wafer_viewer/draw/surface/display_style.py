@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 
-Quantity = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
+Quantity = Literal[
+    "height", "confidence", "uncertainty", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"
+]
 Plane = tuple[float, float, float]
 Form = tuple[float, ...]
 """Centre x, centre y and half width in um, then the coefficients of 1, u, v, u², uv, v²; u and v are -1 ... 1."""
@@ -18,6 +20,7 @@ Form = tuple[float, ...]
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "height": ("Height", "µm"),
     "confidence": ("Confidence", ""),
+    "uncertainty": ("U, k = 2", "µm"),
     "slope": ("Slope", "°"),
     "deviation": ("Deviation", "µm"),
     "form": ("Deviation", "µm"),

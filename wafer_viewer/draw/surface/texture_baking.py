@@ -194,6 +194,11 @@ def overlap_um(part: HeightMap) -> NDArray[np.float32]:
     return np.full_like(part.z_um, np.nan) if part.overlap_um is None else part.overlap_um
 
 
+def expanded_um(part: HeightMap) -> NDArray[np.float32]:
+    """Return the expanded uncertainty (k = 2) of each height, NaN where it is not known."""
+    return np.full_like(part.z_um, np.nan) if part.u_um is None else np.float32(2) * part.u_um
+
+
 def grey_image(part: HeightMap) -> NDArray[np.float32]:
     """Return the all-in-focus image in 0 ... 1."""
     image = part.all_in_focus
@@ -207,11 +212,14 @@ VALUES: dict[Quantity, Callable[[HeightMap, Light], NDArray[np.float32]]] = {
     "deviation": lambda part, light: part.z_um - plane_um(part, light.plane),
     "form": lambda part, light: part.z_um - form_um(part, light.form),
     "overlap": lambda part, light: overlap_um(part),
+    "uncertainty": lambda part, light: expanded_um(part),
     "grey": lambda part, light: grey_image(part),
     "origin": lambda part, light: part.origin.astype(np.float32),
     "difference": lambda part, light: part.z_um,
 }
 """Values of each quantity of `QUANTITIES` per pixel; NaN where unknown."""
+PARTLY_KNOWN: tuple[Quantity, ...] = ("overlap", "uncertainty")
+"""Quantities that not every height has; the others are grey."""
 
 
 def bake(part: HeightMap, look: DisplayStyle, light: Light, filled_um: NDArray[np.float32] | None = None) -> Picture:
@@ -235,7 +243,7 @@ def _coloured(part: HeightMap, look: DisplayStyle, light: Light, heights: NDArra
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
     values = VALUES[look.colour_by](part, light)
-    if look.colour_by == "overlap":
+    if look.colour_by in PARTLY_KNOWN:
         measured = np.isfinite(values)
         return np.where(
             measured[..., None], _by_value(np.where(measured, values, 0), look), np.array(ELSEWHERE, np.float32)
@@ -295,6 +303,7 @@ def reduced(part: HeightMap, factor: int) -> HeightMap:
         confidence=_mean_of_blocks(part.confidence, factor),
         all_in_focus=_mean_of_blocks(part.all_in_focus, factor).astype(part.all_in_focus.dtype),
         overlap_um=None if part.overlap_um is None else _mean_of_blocks(part.overlap_um, factor),
+        u_um=None if part.u_um is None else _mean_of_blocks(part.u_um, factor),
         origin=_blocks(part.origin, factor, 255).min(axis=(1, 3)),
         pixel_um=part.pixel_um * factor,
         x0_um=part.x0_um + shift,

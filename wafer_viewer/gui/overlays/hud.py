@@ -122,13 +122,17 @@ def _height(read: ReadOut, view: View) -> Markup:
         if view.levelling.by != "stage"
         else Markup()
     )
-    return Markup("z <b>{}</b>{}&ensp;").format(with_unit(read.z_um, 2, signed=True), over)
+    if read.u_um is None:
+        return Markup("z <b>{}</b>{}&ensp;").format(with_unit(read.z_um, 2, signed=True), over)
+    height = f"{number(read.z_um, 2, signed=True)} ± {with_unit(2 * read.u_um, 2)}"
+    return Markup("z <b>{}</b>{}&ensp;").format(height, over)
 
 
 def _trust(read: ReadOut) -> str:
     if read.origin != Origin.MEASURED:
         return escape(ORIGIN_TITLES[read.origin])
-    return f"confidence {number(read.confidence, 2)}"
+    confidence = f"confidence {number(read.confidence, 2)}"
+    return confidence if read.u_um is None else f"k = 2, without the z scale; {confidence}"
 
 
 def _plan_legend(snapshot: Snapshot) -> Markup:

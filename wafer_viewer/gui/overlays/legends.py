@@ -25,6 +25,8 @@ MOST_BAR_PX, LEAST_BAR_PX = 320, 110
 BELOW_PX = 96
 """Height reserved below the bar for the read-out."""
 ORIGIN_ROW_PX, ORIGINS_EDGES_PX = 23, 18
+ELSEWHERE_TEXTS: dict[str, str] = {"overlap": "one field only", "uncertainty": "not known"}
+"""Reason why a pixel is grey, of quantities that not every height has."""
 SIGNED = ("height", "deviation", "form", "difference")
 
 
@@ -54,7 +56,7 @@ class ColourLegend:
 
 def _foot_px(scale: ColourScale | None) -> int:
     """Return the height of the line that explains grey; 0 if it is not shown."""
-    return LINE_PX if scale is not None and scale.quantity == "overlap" else 0
+    return LINE_PX if scale is not None and scale.quantity in ELSEWHERE_TEXTS else 0
 
 
 def _origins_px(rows: int) -> int:
@@ -74,7 +76,7 @@ def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> Mar
         scale.counts,
         height_px=bar_px,
         signed=quantity in SIGNED,
-        elsewhere="one field only" if quantity == "overlap" else "",
+        elsewhere=ELSEWHERE_TEXTS.get(quantity, ""),
     )
 
 

@@ -24,7 +24,7 @@ from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, wi
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.session.core.commands import restricted_session
-from wafer_viewer.session.rendering.render_request import ColourScale, Statistics
+from wafer_viewer.session.rendering.render_request import OPTIONAL_QUANTITIES, ColourScale, Statistics
 from wafer_viewer.session.state.snapshot import Fault, Snapshot
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Page:
         self.statistics: Statistics | None = None
         self.counted_um: Box | None = None
         self.drawn_points = 0
-        self.has_overlaps = False
+        self.unavailable: tuple[str, ...] = OPTIONAL_QUANTITIES
         self._parts: Sequence[Part] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
         self._last_pick = 0
@@ -144,9 +144,9 @@ class Page:
             self.on_show = on_show
             self._due.set()
         scale = on_show.scale if on_show is not None else None
-        overlaps = on_show is not None and on_show.facts.has_overlaps
-        if (scale, overlaps) != (self.scale, self.has_overlaps):
-            self.scale, self.has_overlaps = scale, overlaps
+        unavailable = OPTIONAL_QUANTITIES if on_show is None else on_show.facts.unavailable
+        if (scale, unavailable) != (self.scale, self.unavailable):
+            self.scale, self.unavailable = scale, unavailable
             self._due.set()
 
     def show_points(self, drawn: int) -> None:
@@ -158,7 +158,7 @@ class Page:
         """Return the quantity that colours the displayed surface; height if the chosen one is not available."""
         if view.shows_difference and view.colour_by == "height":
             return "difference"
-        return "height" if view.colour_by == "overlap" and not self.has_overlaps else view.colour_by
+        return "height" if view.colour_by in self.unavailable else view.colour_by
 
     def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:
         """Register a callback for clicks on elements of `html.pick(what, key)`; it gets the key."""

@@ -422,6 +422,8 @@ def answer(curve: FocusCurve) -> Markup:
         peak = f"no height; the peak is at {with_unit(curve.peak_z_um, 2, signed=True)}"
         return _card("Not measured", _capital(curve.origin), "", peak, "color:var(--attention)", 24)
     trust = f"{curve.origin}, confidence {number(curve.confidence, 2)}"
+    if curve.u_um is not None:
+        trust = f"± {with_unit(2 * curve.u_um, 2)} (k = 2, without the z scale); {trust}"
     return _card("Measured height", number(curve.height_um, 2, signed=True), "µm", trust, "", 40)
 
 

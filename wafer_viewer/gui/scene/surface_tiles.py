@@ -36,10 +36,10 @@ MOST_TILES: dict[LookMode, int] = {"surface": 34, "points": 9, "plan": 34}
 """Largest texel in view, in screen pixels, and the limit of tiles, which takes precedence."""
 _STEP, _FLAT_STEP = 8, 64
 """Pixels between vertices of a tile at its own level."""
-OWN_COLOURS = {"grey": "grey", "difference": DIVERGING, "confidence": "cividis"}
+OWN_COLOURS = {"grey": "grey", "difference": DIVERGING, "confidence": "cividis", "uncertainty": "cividis"}
 """Colour map of quantities with a fixed one."""
-LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
-"""Hillshade factor for categorical colours (origin) and for coarse steps of colour (overlap)."""
+LIGHT_ON = {"origin": 0.25, "overlap": 0.6, "uncertainty": 0.6}
+"""Hillshade factor for categorical colours (origin), and where shadows look like values (overlap, uncertainty)."""
 _TILE_PX = 320
 _DRAWN_LARGER = 2.0
 """viser draws points larger than their set size by this factor and by the mean scale of their node."""

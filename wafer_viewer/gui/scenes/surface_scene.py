@@ -116,12 +116,11 @@ def _shown(snapshot: Snapshot, source: SurfaceKey, facts: SurfaceStatistics, dat
 def _with_available_quantity(view: View, facts: SurfaceStatistics) -> View:
     """Return the view with a quantity that this surface has.
 
-    A missing overlap quantity is replaced by height, and the height of a difference is coloured as a difference.
+    One that is missing is replaced by height, and the height of a difference is coloured as a difference.
     """
     if view.shows_difference and view.colour_by == "height":
         return replace(view, colour_by="difference")
-    lacks = view.colour_by == "overlap" and not facts.has_overlaps
-    return replace(view, colour_by="height", range_um=None) if lacks else view
+    return replace(view, colour_by="height", range_um=None) if view.colour_by in facts.unavailable else view
 
 
 def _basis(source: SurfaceKey) -> SurfaceKey:

@@ -117,7 +117,9 @@ def with_cursor(plot: PlotView, number: int, share: float) -> PlotView:
 
 Step = Literal["plan", "acquire", "surface", "measure", "gauge", "review", "report"]
 Look = Literal["surface", "points", "plan"]
-ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
+ColourBy = Literal[
+    "height", "confidence", "uncertainty", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"
+]
 Tool = ToolName
 """Active tool, or none."""
 ReviewFilter = Literal["all", "open", "accepted", "rejected"]

@@ -109,6 +109,7 @@ LOOKS = (("surface", "Surface"), ("points", "Points"), ("plan", "Plan"))
 COLOUR_BY: dict[str, ColourBy] = {
     "Height": "height",
     "Confidence": "confidence",
+    "Uncertainty": "uncertainty",
     "Slope": "slope",
     "Deviation from plane": "deviation",
     "Deviation from form": "form",
@@ -117,7 +118,7 @@ COLOUR_BY: dict[str, ColourBy] = {
     "Origin": "origin",
 }
 TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name for name, key in COLOUR_BY.items()}}
-NEVER_NEGATIVE = ("confidence", "slope", "overlap")
+NEVER_NEGATIVE = ("confidence", "uncertainty", "slope", "overlap")
 STITCHED, COMPARED = "Stitched surface", "Comparison"
 FULL_BLEND = 0.4
 """Opacity of the all-in-focus picture when it is switched on."""
@@ -299,7 +300,7 @@ class SurfacePanel:
 
     def _show_colour(self, view: View) -> None:
         scale, by = self._page.scale, self._page.coloured_by(view)
-        set_prop(self._by.handle, "options", _quantities(self._page.has_overlaps))
+        set_prop(self._by.handle, "options", _quantities(self._page.unavailable))
         self._by.show(TITLES_OF_COLOUR_BY[by])
         self._colours.show(COLOUR_MAPS[view.colours])
         in_colours = view.colour_by not in ("grey", "origin")
@@ -345,9 +346,9 @@ class SurfacePanel:
         self._focus.show(round(100 * view.all_in_focus, 3))
 
 
-def _quantities(overlaps: bool) -> tuple[str, ...]:
-    """Return the names of the colour quantities; overlap difference only if `overlaps`."""
-    return tuple(name for name, key in COLOUR_BY.items() if overlaps or key != "overlap")
+def _quantities(unavailable: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the available colour quantities."""
+    return tuple(name for name, key in COLOUR_BY.items() if key not in unavailable)
 
 
 def _below(data: OpenDataset | None, info: SurfaceInfo | None, statistics: Statistics | None, view: View) -> str:

@@ -118,11 +118,15 @@ def _stamp(snapshot: Snapshot, show: int) -> object:
 
 @dataclass(frozen=True, slots=True)
 class ReadOut:
-    """Surface at a point; z_um is None if it is unmeasured, for the reason given by `origin`."""
+    """Surface at a point; z_um is None if it is unmeasured, for the reason given by `origin`.
+
+    u_um: standard uncertainty (k = 1) of the height, None if it is not known.
+    """
 
     z_um: float | None
     confidence: float
     origin: Origin
+    u_um: float | None = None
 
 
 class DatasetQueries:
@@ -183,7 +187,10 @@ class DatasetQueries:
         pixel = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))
         if 0 in pixel.shape:
             raise MeasureError(f"({x_um:.1f}, {y_um:.1f}) um lies outside of the surface.")
-        z_um = float(pixel.z_um[0, 0])
+        z_um, u_um = float(pixel.z_um[0, 0]), np.nan if pixel.u_um is None else float(pixel.u_um[0, 0])
         return ReadOut(
-            z_um if np.isfinite(z_um) else None, float(pixel.confidence[0, 0]), Origin(int(pixel.origin[0, 0]))
+            z_um if np.isfinite(z_um) else None,
+            float(pixel.confidence[0, 0]),
+            Origin(int(pixel.origin[0, 0])),
+            u_um if np.isfinite(u_um) else None,
         )

@@ -146,10 +146,15 @@ class RenderRequest:
     refused: bool = False
 
 
+OPTIONAL_QUANTITIES = ("overlap", "uncertainty")
+"""Quantities of layers that not every surface has."""
+
+
 class SurfaceStatistics(msgspec.Struct, frozen=True):
     """Statistics of a surface, answer to ``facts``: its lattice, measured area, heights and light.
 
-    has_overlaps: whether height differences between fields are known for pixels that several fields measured.
+    has_overlaps: whether height differences between fields are known for pixels that several fields measured;
+    has_uncertainty: whether uncertainties of single heights are known.
     """
 
     rows: int
@@ -169,6 +174,13 @@ class SurfaceStatistics(msgspec.Struct, frozen=True):
     plane: tuple[float, float, float]
     has_overlaps: bool = False
     form: Form = ()
+    has_uncertainty: bool = False
+
+    @property
+    def unavailable(self) -> tuple[str, ...]:
+        """Those of `OPTIONAL_QUANTITIES` that this surface cannot be coloured by."""
+        available = self.has_overlaps, self.has_uncertainty
+        return tuple(name for name, has in zip(OPTIONAL_QUANTITIES, available, strict=True) if not has)
 
     @property
     def light(self) -> Light:

@@ -256,13 +256,13 @@ def facts(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     facts = SurfaceStatistics(
         *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
         float(heights.min()), float(heights.max()), low, high,
-        light_gain(part.z_um, part.pixel_um), _plane(part), _has_overlaps(part), _form(part),
+        light_gain(part.z_um, part.pixel_um), _plane(part), _has(part.overlap_um), _form(part), _has(part.u_um),
     )  # fmt: skip
     return msgspec.msgpack.encode(facts)
 
 
-def _has_overlaps(part: HeightMap) -> bool:
-    return part.overlap_um is not None and bool(np.isfinite(part.overlap_um).any())
+def _has(layer: NDArray[np.float32] | None) -> bool:
+    return layer is not None and bool(np.isfinite(layer).any())
 
 
 def _extent(measured: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
@@ -323,14 +323,14 @@ def scale(provider: SurfaceProvider, request: RenderRequest) -> bytes:
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
     """Return the default range of a quantity.
 
-    Fractions have 0 to 1; slopes and overlaps start at 0; signed quantities are symmetric; others have 0.5 to 99.5 %.
-    The ends are at least 0.2 apart.
+    Fractions have 0 to 1; slopes, overlaps and uncertainties start at 0; signed quantities are symmetric; others have
+    0.5 to 99.5 %. The ends are at least 0.2 apart.
     """
     if quantity in ("confidence", "grey"):
         return 0.0, 1.0
     if quantity == "slope":
         return 0.0, max(high, 1.0)
-    if quantity == "overlap":
+    if quantity in ("overlap", "uncertainty"):
         return 0.0, max(high, 0.1)
     if quantity in ("deviation", "form", "difference"):
         most = max(abs(low), abs(high), 0.1)
