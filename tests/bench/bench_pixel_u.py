@@ -34,7 +34,7 @@ from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
 STEPS_DOF, CONTRASTS, FULL_WELLS = (0.2, 0.45, 0.75, 0.9), (0.25, 0.12, 0.04), (6e3, 15e3, 40e3)
 QUICK_STEPS_DOF, QUICK_CONTRASTS, QUICK_FULL_WELLS = (0.45, 0.9), (0.12,), (6e3,)
-SCENES, QUICK_SCENES = 40, 4
+SCENES, QUICK_SCENES = 40, 2
 MARGIN_PX = 24
 """Border of a plane in stairs that does not count."""
 NORMAL_MEDIAN = 0.6745
