@@ -14,10 +14,11 @@ PITCH_UM, FOOT_UM, HEIGHT_UM, SPREAD_UM = 40.0, 12.0, 15.0, 0.2
 
 @dataclass(frozen=True)
 class Bumped:
-    """A surface with bumps; tops: x, y, z of each, [n, 3], the tilt of the die in z."""
+    """A surface with bumps; tops: x, y, z of each, [n, 3], the tilt of the die in z; tilt: along x."""
 
     surface: HeightMap
     tops: np.ndarray
+    tilt: float = 0.0
 
     @property
     def range_um(self) -> float:
@@ -28,15 +29,23 @@ class Bumped:
 
 
 def bumped(
-    side=10, tall_um=3.0, seed=0, noise_um=0.1, correlation_px=3.0, tilt=2e-3, pitch_um=PITCH_UM, holes=False
+    side=10,
+    tall_um=3.0,
+    seed=0,
+    noise_um=0.1,
+    correlation_px=3.0,
+    tilt=2e-3,
+    pitch_um=PITCH_UM,
+    holes=False,
+    high_um=HEIGHT_UM,
 ) -> Bumped:
     """side x side bumps, one of them tall, on a die tilted by 2 mrad; holes: tops of some are not measured."""
     rng = np.random.default_rng(seed)
     cells = round((side + 1) * pitch_um / PIXEL_UM)
     x_um, y_um = np.meshgrid(*coordinates(cells, cells))
-    heights = HEIGHT_UM + rng.normal(0, SPREAD_UM, (side, side))
+    heights = high_um + rng.normal(0, SPREAD_UM, (side, side))
     heights[side // 3, side // 2] += tall_um
-    radius_um = (FOOT_UM**2 + HEIGHT_UM**2) / (2 * HEIGHT_UM)
+    radius_um = (FOOT_UM**2 + high_um**2) / (2 * high_um)
     z, tops = np.zeros(x_um.shape), []
     for (row, col), height in np.ndenumerate(heights):
         at = (col - (side - 1) / 2) * pitch_um, ((side - 1) / 2 - row) * pitch_um
@@ -48,4 +57,4 @@ def bumped(
     if holes:
         z[(x_um < -pitch_um / 2) & (z > 10)] = np.nan
     held = calibration(u_z_scale=1e-6)
-    return Bumped(surface_of(z, calibration=held, z_step_um=0.0), np.array(tops))
+    return Bumped(surface_of(z, calibration=held, z_step_um=0.0), np.array(tops), tilt)

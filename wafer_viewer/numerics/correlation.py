@@ -113,14 +113,16 @@ def autocorrelation(z: Floats) -> Floats:
     valid = np.isfinite(z)
     n_valid = int(valid.sum())
     reach = z.shape[0] // 2, z.shape[1] // 2
-    products = _lagged(np.where(valid, z, 0.0), reach)
-    pairs = _full_pairs(z.shape, reach) if n_valid == z.size else np.rint(_lagged(valid.astype(np.float64), reach))
+    products = lagged_products(np.where(valid, z, 0.0), reach)
+    pairs = (
+        _full_pairs(z.shape, reach) if n_valid == z.size else np.rint(lagged_products(valid.astype(np.float64), reach))
+    )
     middle = float(products[reach]) / n_valid
     return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_valid)
 
 
-def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:
-    """Return the sums of products of points one lag apart."""
+def lagged_products(plane: Floats, reach: tuple[int, int]) -> Floats:
+    """Return the sums of products of points one lag apart, [2 r + 1, 2 c + 1] for lags up to reach (r, c)."""
     from scipy.fft import irfft2, rfft2
 
     padded = [fast_length(n + r) for n, r in zip(plane.shape, reach, strict=True)]

@@ -7,7 +7,8 @@ import pytest
 
 from tests.support.bumped_surface import HEIGHT_UM, PITCH_UM, bumped
 from tests.support.made_up_pictures import all_of, covered
-from tests.support.surfaces import noise_of, surface_of
+from tests.support.surfaces import PIXEL_UM, noise_of, surface_of
+from wafer_viewer.measure.base.error_covariance import ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.tools.coplanarity import Top, coplanarity, least_squares, seating
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
@@ -60,10 +61,16 @@ def test_the_uncertainty_of_coplanarity_covers_its_error():
     assert covered(errors, [length.expanded_um for length in found]) >= 0.8
 
 
+def top_at(x_um, y_um, z_um):
+    one = WeightedHeights(np.array([x_um]), np.array([y_um]), np.ones(1))
+    errors = ErrorCovariance(np.full((1, 1), 0.01), PIXEL_UM, 1000.0, 3)
+    return Top(x_um, y_um, z_um, z_um, 4.0, 0.1, one, one, errors)
+
+
 def test_the_seating_plane_touches_three_tops_and_none_lies_over_it():
     places = [(-10.0, -10.0), (10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (0.0, 1.0)]
     heights = [5.0, 5.0, 5.0, 4.0, 5.5]
-    tops = tuple(Top(x, y, z, 0.1, z, 0.1, 4.0) for (x, y), z in zip(places, heights, strict=True))
+    tops = tuple(top_at(x, y, z) for (x, y), z in zip(places, heights, strict=True))
     seated = seating(tops)
     assert seated.deviation_um.max() == pytest.approx(0, abs=1e-9)
     assert np.count_nonzero(np.abs(seated.deviation_um) < 1e-9) >= 3

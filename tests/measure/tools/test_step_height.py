@@ -51,7 +51,7 @@ def test_the_uncertainty_covers_the_error_of_correlated_noise(correlation_px):
     steps = [step_height(gauge_blocks(s, 1.0, correlation_px, u_z_scale=0.0), UPPER, LOWER) for s in range(20)]
     errors = np.array([s.height.value_um - STEP_UM for s in steps])
     expanded = np.array([s.height.expanded_um for s in steps])
-    assert np.mean(np.abs(errors) <= expanded) >= 0.9
+    assert np.mean(np.abs(errors) <= expanded) >= 0.85, "of 20 runs at 95 %, 17 or more in 98 of 100 cases"
     assert expanded.mean() < 6 * errors.std(), "an uncertainty that is far too large is no help either"
 
 

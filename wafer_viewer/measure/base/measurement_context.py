@@ -24,6 +24,9 @@ NOT_IN_BUDGET = (
 NOISE, Z_SCALE, LINEARITY, LEVELLING = "noise and form of the faces", "z scale", "z linearity", "levelling"
 DRIFT, POSES, INTERPOLATION = "drift during the scan", "poses of the fields", "interpolation between frames"
 Z_JITTER, FLICKER = "z jitter of the frames", "flicker of the light"
+WINDOW = "resolution of the focus window"
+WINDOW_BASE_PX2 = 1.5
+"""Variance of the average that a focus measure takes besides its window, px2: errors of caps whose radius is known."""
 REPEATABILITY, TEMPERATURE, ABBE = "repeatability", "temperature", "Abbe offset"
 FLATNESS = "flatness deviation"
 OF_FRAMES = (INTERPOLATION, Z_JITTER, FLICKER)
@@ -174,6 +177,16 @@ class MeasurementContext:
         """Standard uncertainty of a lateral length from the x-y mapping deviation (k = 1); None if not measured."""
         calibration = self.surface.provenance.calibration
         return None if calibration is None else calibration.u_mapping_um
+
+    def sag_um(self, curvature: float) -> float:
+        """Return by how much the focus window lowers a top of a curvature 1 / R, in um; 0 for an unknown window.
+
+        Heights are not corrected for it: it is taken as a standard uncertainty.
+        """
+        window = self.surface.provenance.recipe.window
+        if isinstance(window, str):
+            return 0.0
+        return ((window**2 - 1) / 6 + WINDOW_BASE_PX2) * self.surface.pixel_um**2 * abs(curvature)
 
     def frame_lines(self, factor: float = 1.0) -> Lines:
         """Return the budget lines of `factor` times a height difference that the frames of its stack cause."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from wafer_viewer.measure.base.correlated_errors import (
-    Labels,
-    Scatter,
-    Spread,
-    extrapolated_uncertainty,
-    tile_covariances,
+from wafer_viewer.measure.base.correlated_errors import Labels, Scatter
+from wafer_viewer.measure.base.error_covariance import (
+    UNRESOLVED_NOTE,
+    ErrorCovariance,
+    WeightedHeights,
+    errors_of,
+    side_by_side,
 )
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in, require_area
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
@@ -30,13 +30,14 @@ MIN_POINTS = 200
 class Face:
     """Accepted points of a face, the plane through them, and their residuals.
 
-    part: index of the face's region that contains each point.
+    part: index of the face's region that contains each point. errors: covariance of the errors of its heights.
     """
 
     points: HeightSamples
     plane: LevelPlane
     residuals_um: Floats
     part: Labels
+    errors: ErrorCovariance
 
     @property
     def mean_um(self) -> float:
@@ -58,14 +59,20 @@ class Face:
         """Slope along x, slope along y, height at the centre."""
         return np.array([self.plane.slope_x, self.plane.slope_y, self.plane.z_um])
 
-    @cached_property
-    def spreads(self) -> list[Spread]:
-        """Covariances of the parameters, by tiles of several sizes."""
-        return tile_covariances(self.points, self.design, self.residuals_um, self.part)
+    @property
+    def parts(self) -> tuple[HeightSamples, ...]:
+        """Accepted points of each region."""
+        return parts_of(self.points, self.part)
 
-    def scatter(self, gradient: Floats) -> Scatter | None:
-        """Return the uncertainty of gradient [3] times the parameters; None with too few tiles."""
-        return extrapolated_uncertainty(self.spreads, gradient)
+    def scatter(self, gradient: Floats) -> Scatter:
+        """Return the uncertainty of gradient [3] times the parameters."""
+        whole = WeightedHeights.of_fit(self.points, self.design, gradient)
+        return self.errors.scatter(WeightedHeights.of(side_by_side(self.parts), whole.weight))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Note where the correlation of the errors is not resolved."""
+        return () if self.errors.resolved else (UNRESOLVED_NOTE,)
 
 
 def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, which: str, what: str) -> HeightSamples:
@@ -82,13 +89,24 @@ def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, whi
     return points
 
 
-def face_of(*parts: HeightSamples) -> Face:
-    """Fit a face to the points of one or several regions. Raises MeasureError when they do not determine a plane."""
+def face_of(reading: MeasurementContext, level: int, *parts: HeightSamples) -> Face:
+    """Fit a face to the points of one or several regions. Raises MeasureError when they do not determine a plane.
+
+    reading, level: where the points are from; the errors of a small face are told by the surface around it.
+    """
     points = joined(parts)
     plane, fit = fit_plane(points)
     used = points if fit.inliers.all() else points.select(fit.inliers)
     part = np.repeat(np.arange(len(parts)), [len(p) for p in parts])[fit.inliers]
-    return Face(used, plane, used.z_um - plane.at(used.x_um, used.y_um), part)
+    left_um = used.z_um - np.asarray(plane.at(used.x_um, used.y_um))
+    design = plane_design(used, (plane.x_um, plane.y_um))
+    errors = errors_of(reading, level, parts_of(used, part), design, left_um)
+    return Face(used, plane, left_um, part, errors)
+
+
+def parts_of(points: HeightSamples, part: Labels) -> tuple[HeightSamples, ...]:
+    """Return the points of each region, those without points left out; part: region index of each point, ascending."""
+    return tuple(points.select(part == k) for k in np.unique(part))
 
 
 def joined(parts: Sequence[HeightSamples]) -> HeightSamples:
@@ -154,6 +172,16 @@ def area_of(reading: MeasurementContext, region: Region, which: str, what: str) 
     pixel_um = reading.surface.pixel_um * 2**level
     share = require_measured(region, len(points) * pixel_um**2, which, what)
     return Area(points, level, pixel_um, share)
+
+
+def lattice_of(area: Area) -> Floats:
+    """Return the heights of a face, float64 [row, col] of its bounding rectangle; NaN where there are none."""
+    points, pixel_um = area.points, area.pixel_um
+    rows = np.rint((points.y_um.max() - points.y_um) / pixel_um).astype(np.intp)
+    cols = np.rint((points.x_um - points.x_um.min()) / pixel_um).astype(np.intp)
+    z_um = np.full((int(rows.max()) + 1, int(cols.max()) + 1), np.nan)
+    z_um[rows, cols] = points.z_um
+    return z_um
 
 
 def least_squares_plane(points: HeightSamples) -> tuple[LevelPlane, Floats]:

@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 
-from wafer_viewer.measure.base.correlated_errors import parameter_u
 from wafer_viewer.measure.base.height_samples import Floats, Layer, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, enough_points, face_of
-from wafer_viewer.measure.base.robust_fit import plane_design
 from wafer_viewer.model.measurement.measurements import FaceAngle
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -19,6 +17,8 @@ ALONG_X = np.array([1.0, 0.0, 0.0])
 """Gradient of the slope of a face along x by its parameters: slope x, slope y, height."""
 ALONG_Y = np.array([0.0, 1.0, 0.0])
 """The same of the slope along y."""
+ENDS = 1.5
+"""Slope of a plane through two halves that differ by a height, times its length over that height."""
 SCALE_STEP = 1e-3
 """Relative step of the scale for the derivative of an angle by it."""
 
@@ -74,11 +74,11 @@ def face_angle(
     require_area(second, "second")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, first, second)
     a, b = (
-        face_of(enough_points(surface, region, reading.layer, level, f"{which} region", "an angle"))
+        face_of(reading, level, enough_points(surface, region, reading.layer, level, f"{which} region", "an angle"))
         for region, which in ((first, "first"), (second, "second"))
     )
     return FaceAngle(
-        **reading.result_fields(name, level, *reading.not_in_budget()),
+        **reading.result_fields(name, level, *dict.fromkeys((*a.notes, *b.notes)), *reading.not_in_budget()),
         first=first,
         second=second,
         angle=reading.quantity(_angle_deg(_slopes(a), _slopes(b)), "deg", _lines(reading, a, b)),
@@ -105,23 +105,23 @@ def _tilt_deg(face: Face) -> float:
     return math.degrees(math.atan(math.hypot(face.plane.slope_x, face.plane.slope_y)))
 
 
-def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines | None:
-    spread = _tilt_u_deg(a), _tilt_u_deg(b)
-    if spread[0] is None or spread[1] is None:
-        return None
+def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines:
     slopes = _slopes(a), _slopes(b)
     per_scale = abs(_angle_deg(*(slope * (1 + SCALE_STEP) for slope in slopes)) - _angle_deg(*slopes)) / SCALE_STEP
     return {
         "z scale": per_scale * reading.u_z_scale,
         "pixel scale": per_scale * reading.u_pixel_scale,
-        "noise and form of the faces": math.hypot(spread[0], spread[1]),
+        "noise and form of the faces": math.hypot(_tilt_u_deg(a), _tilt_u_deg(b)),
+        **reading.frame_lines(math.degrees(math.hypot(_per_height(a), _per_height(b)))),
     }
 
 
-def _tilt_u_deg(face: Face) -> float | None:
+def _per_height(face: Face) -> float:
+    """Return the change of a face's slope by a height difference between its ends."""
+    return ENDS / min(float(np.ptp(face.points.x_um)), float(np.ptp(face.points.y_um)))
+
+
+def _tilt_u_deg(face: Face) -> float:
     """Return the largest standard uncertainty of a face's tilt over directions: an angle near 0 has no direction."""
-    design = plane_design(face.points, (face.plane.x_um, face.plane.y_um))
-    both = [parameter_u(face.points, design, face.residuals_um, axis) for axis in (ALONG_X, ALONG_Y)]
-    if both[0] is None or both[1] is None:
-        return None
-    return math.degrees(max(both[0], both[1]) * math.cos(math.radians(_tilt_deg(face))))
+    largest = max(face.scatter(axis).widened for axis in (ALONG_X, ALONG_Y))
+    return math.degrees(largest * math.cos(math.radians(_tilt_deg(face))))

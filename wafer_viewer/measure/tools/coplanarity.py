@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, find_objects, label
+from scipy.ndimage import binary_dilation, binary_fill_holes, find_objects, label
 from scipy.optimize import linprog
 
-from wafer_viewer.measure.base.correlated_errors import parameter_u
+from wafer_viewer.measure.base.error_covariance import UNRESOLVED_NOTE, ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.base.height_samples import (
     Floats,
     HeightSamples,
@@ -21,9 +21,8 @@ from wafer_viewer.measure.base.height_samples import (
     level_for,
     require_area,
 )
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_cap, plane_design, robust_fit
-from wafer_viewer.measure.edges.edge_search import root_sum_of_squares
+from wafer_viewer.measure.base.measurement_context import WINDOW, MeasurementContext
+from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_cap, fit_plane, plane_design, robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Bump, Coplanarity
 from wafer_viewer.model.measurement.tool_options import CoplanarityOptions
@@ -66,6 +65,8 @@ class BumpSearchParameters:
         Quantile of a bump's heights that is taken as its height.
     ring_below : float
         Largest height of the surroundings over the ground, relative to the highest point in them.
+    foot_px : int, px
+        Margin of bumps within which the ground does not tell its errors.
 
     Notes
     -----
@@ -87,6 +88,7 @@ class BumpSearchParameters:
     ground_points: int = 200_000
     highest: float = 0.98
     ring_below: float = 0.25
+    foot_px: int = 3
 
 
 BUMP_SEARCH = BumpSearchParameters()
@@ -98,16 +100,24 @@ Box = tuple[slice, slice]
 class Top:
     """One bump: position and height of its top, height over its surroundings, and diameter at half of that.
 
-    u_um, u_round_um: standard uncertainties (k = 1) of the top and of the surroundings; None: not known.
+    top, ground: the top and the height of the surroundings under it as weighted sums of heights; errors: covariance of
+    the errors of the heights on the top and around.
     """
 
     x_um: float
     y_um: float
     z_um: float
-    u_um: float | None
     height_um: float
-    u_round_um: float | None
     diameter_um: float
+    curvature: float
+    top: WeightedHeights
+    ground: WeightedHeights
+    errors: ErrorCovariance
+
+    @property
+    def over_ground(self) -> WeightedHeights:
+        """Height over the surroundings as a weighted sum of heights."""
+        return WeightedHeights.joined((self.top, self.ground.times(-1.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,13 +136,14 @@ def find_bumps(part: Heights, within: Mask) -> Bumps:
     """
     z_um = np.where(within, part.z_um, np.nan).astype(np.float64)
     over, noise_um = _over_ground(part, z_um)
+    errors = _ground_errors(part, over)
     numbers, boxes = _outlines(over, noise_um)
     outlines = [numbers[box] == number for number, box in enumerate(boxes, 1)]
     usual_px = _usual([(float(outline.sum()), int(outline.sum())) for outline in outlines])
     found, left_out = list[Top](), 0
     for box, outline in zip(boxes, outlines, strict=True):
         if max(usual_px / BUMP_SEARCH.alike, BUMP_SEARCH.least_px) <= outline.sum() <= BUMP_SEARCH.alike * usual_px:
-            top = _top(part, z_um, over, box, outline) if _complete_bumps(outline, box, within, z_um) else None
+            top = _top(part, z_um, over, box, outline, errors) if _complete_bumps(outline, box, within, z_um) else None
             found, left_out = (found, left_out + 1) if top is None else ([*found, top], left_out)
     return Bumps(tuple(found), left_out)
 
@@ -173,6 +184,19 @@ def _ground(points: HeightSamples) -> tuple[LevelPlane, float]:
     return LevelPlane(*center, z_um, slope_x, slope_y), below
 
 
+def _ground_errors(part: Heights, over: Floats) -> ErrorCovariance:
+    """Return the covariance of the errors of the ground between the bumps; over: heights over its plane."""
+    highest_um = float(np.nanquantile(over, BUMP_SEARCH.highest))
+    low = np.isfinite(over) & (over < BUMP_SEARCH.ring_below * highest_um)
+    raised: Mask = np.asarray(binary_dilation(np.isfinite(over) & ~low, iterations=BUMP_SEARCH.foot_px), np.bool_)
+    bare = low & ~raised
+    rows, cols = np.nonzero(bare if np.count_nonzero(bare) >= BUMP_SEARCH.least_round else low)
+    points = HeightSamples(part.x_um[cols], part.y_um[rows], over[rows, cols])
+    plane, fit = fit_plane(points)
+    used = points.select(fit.inliers)
+    return ErrorCovariance.of(used, used.z_um - np.asarray(plane.at(used.x_um, used.y_um)), part.pixel_um, 3)
+
+
 def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Box]]:
     """Return labels [row, col] of objects above half of the typical height, and their bounding boxes."""
     numbers, boxes = _labelled(over > BUMP_SEARCH.stands_out * max(noise_um, 1e-6))
@@ -209,7 +233,7 @@ def _complete_bumps(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool
     return not touches_border and bool(within[rows, cols].all()) and measured >= BUMP_SEARCH.least_measured
 
 
-def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> Top | None:
+def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask, errors: ErrorCovariance) -> Top | None:
     """Return the top from a sphere fit; None where none fits."""
     highest = float(np.nanquantile(over[box][outline], BUMP_SEARCH.highest))
     points = _points(part, z_um, box, outline & (over[box] >= BUMP_SEARCH.cap_from * highest))
@@ -225,14 +249,16 @@ def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask) -> 
     ground = _round(part, z_um, over, (cap.x_um, cap.y_um), radius_um)
     if ground is None:
         return None
-    u_um = parameter_u(inliers, cap.slopes(inliers), inliers.z_um - cap.at(inliers), np.array([0.0, 0.0, 1.0, 0.0]))
-    return Top(cap.x_um, cap.y_um, cap.z_um, u_um, cap.z_um - ground[0], ground[1], 2 * radius_um)
+    slopes, left_um = cap.slopes(inliers), inliers.z_um - cap.at(inliers)
+    top = WeightedHeights.of_fit(inliers, slopes, np.array([0.0, 0.0, 1.0, 0.0]))
+    own = errors.covering(inliers, slopes, left_um)
+    return Top(cap.x_um, cap.y_um, cap.z_um, cap.z_um - ground[0], 2 * radius_um, cap.curvature, top, ground[1], own)
 
 
 def _round(
     part: Heights, z_um: Floats, over: Floats, centre: tuple[float, float], radius_um: float
-) -> tuple[float, float | None] | None:
-    """Return the height of the surroundings under a bump's top, and its standard uncertainty; None if unmeasured."""
+) -> tuple[float, WeightedHeights] | None:
+    """Return the height of the surroundings under a bump's top, also as a weighted sum; None if unmeasured."""
     reach = BUMP_SEARCH.ring[1] * radius_um
     col, row = (centre[0] - part.x0_um) / part.pixel_um, (part.y0_um - centre[1]) / part.pixel_um
     px = reach / part.pixel_um
@@ -244,8 +270,8 @@ def _round(
         return None
     design = plane_design(ring, centre)
     fit = robust_fit(design, ring.z_um)
-    inliers, residuals = ring.select(fit.inliers), fit.residuals[fit.inliers]
-    return float(fit.coefficients[2]), parameter_u(inliers, design[fit.inliers], residuals, np.array([0.0, 0.0, 1.0]))
+    under = WeightedHeights.of_fit(ring.select(fit.inliers), design[fit.inliers], np.array([0.0, 0.0, 1.0]))
+    return float(fit.coefficients[2]), under
 
 
 def _points(part: Heights, z_um: Floats, box: Box, mask: Mask) -> HeightSamples:
@@ -264,6 +290,9 @@ DEFINITIONS: dict[Reference, str] = {
         "its centre of gravity taken in the middle of the bumps."
     ),
 }
+SELECTION = "selection of the extremes"
+REPEATS = 1000
+"""Number of repeats by which the selection of the extremes is estimated."""
 EXTREMES = "Noise draws the extremes apart: the true value is rather smaller."
 
 
@@ -353,9 +382,10 @@ def coplanarity(
     _require_enough(bumps)
     fitted = PLANES[reference](bumps.tops)
     listed = tuple(_bump(reading, top, off) for top, off in zip(bumps.tops, fitted.deviation_um.tolist(), strict=True))
+    resolved = () if bumps.tops[0].errors.resolved else (UNRESOLVED_NOTE,)
     heights = sorted((bump.height for bump in listed), key=lambda height: height.value_um)
     return Coplanarity(
-        **reading.result_fields(name, level, DEFINITIONS[reference], EXTREMES, *reading.not_in_budget()),
+        **reading.result_fields(name, level, DEFINITIONS[reference], EXTREMES, *resolved, *reading.not_in_budget()),
         region=region,
         options=CoplanarityOptions(reference=reference),
         coplanarity=_coplanarity(reading, bumps.tops, fitted),
@@ -414,31 +444,50 @@ def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: fl
 
 def _coplanarity(reading: MeasurementContext, tops: tuple[Top, ...], fitted: FittedBump) -> Length:
     low, high = (tops[k] for k in fitted.extremes)
-    return _length(reading, fitted.range_um, root_sum_of_squares(low.u_um, high.u_um))
+    apart = WeightedHeights.joined((high.top, low.top.times(-1.0)))
+    noise_um = max(top.errors.scatter(apart).widened for top in (low, high))
+    u_um = np.array([top.errors.scatter(top.top).u for top in tops])
+    return _length(reading, fitted.range_um, noise_um, **{SELECTION: selection_um(fitted.deviation_um, u_um)})
+
+
+def selection_um(deviation_um: Floats, u_um: Floats) -> float:
+    """Return by how much the range of deviations [n] grows by errors with standard uncertainties [n], on average.
+
+    The extremes of many values with errors are extremes of the errors too. The mean is over repeats of a fixed seed of
+    the deviations as they were found, with such errors once more.
+    """
+    errors = np.random.default_rng(0).standard_normal((REPEATS, len(u_um))) * u_um
+    return max(0.0, float(np.mean(np.ptp(deviation_um + errors, axis=1))) - float(np.ptp(deviation_um)))
 
 
 def _mean_height(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
-    """Return the mean bump height; errors of bumps are independent, so its uncertainty falls with their number."""
-    whole = root_sum_of_squares(*(root_sum_of_squares(top.u_um, top.u_round_um) for top in tops))
+    """Return the mean bump height: one weighted sum of the heights of all bumps and of what lies round them."""
     mean_um = float(np.mean([top.height_um for top in tops]))
-    return _length(reading, mean_um, None if whole is None else whole / len(tops))
+    whole = WeightedHeights.joined(top.over_ground.times(1 / len(tops)) for top in tops)
+    noisiest = max(tops, key=lambda top: top.errors.variance_um2)
+    sag_um = float(np.mean([reading.sag_um(top.curvature) for top in tops]))
+    return _length(reading, mean_um, noisiest.errors.scatter(whole).widened, **{WINDOW: sag_um})
 
 
 def _bump(reading: MeasurementContext, top: Top, deviation_um: float) -> Bump:
     return Bump(
         place=Point(x_um=round(top.x_um, 2), y_um=round(top.y_um, 2)),
-        height=_length(reading, top.height_um, root_sum_of_squares(top.u_um, top.u_round_um)),
+        height=_length(
+            reading,
+            top.height_um,
+            top.errors.scatter(top.over_ground).widened,
+            **{WINDOW: reading.sag_um(top.curvature)},
+        ),
         diameter_um=top.diameter_um,
-        deviation=_length(reading, deviation_um, top.u_um),
+        deviation=_length(reading, deviation_um, top.errors.scatter(top.top).widened),
     )
 
 
-def _length(reading: MeasurementContext, value_um: float, noise_um: float | None) -> Length:
-    if noise_um is None:
-        return reading.length(value_um, None)
+def _length(reading: MeasurementContext, value_um: float, noise_um: float, **more: float) -> Length:
     lines = {
         "z scale": reading.u_z_scale * abs(value_um),
         "noise and form of the tops": noise_um,
+        **more,
         **reading.frame_lines(),
     }
     return reading.length(value_um, lines)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import Scatter, area_correlation
-from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, points_in
+from wafer_viewer.measure.base.error_covariance import WeightedHeights, errors_of
+from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, points_in
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.robust_fit import fit_plane
+from wafer_viewer.measure.base.robust_fit import fit_plane, plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Distance, PointHeight
 from wafer_viewer.model.quantity import Quantity
@@ -30,8 +30,6 @@ UNKNOWN_WINDOW = 15
 """Focus window assumed where the surface does not specify one."""
 MIN_NOISE_POINTS = 100
 """Smallest number of measured points around a point for its noise."""
-LEAST_FREEDOM = 3.0
-"""Smallest degrees of freedom of the noise: fewer are form, which does not scatter."""
 MEDIAN_OF_NORMAL = math.pi / 2
 """Variance of the median of many normal values over that of their mean."""
 BY_HAND = "Not in the budget: where the points were set, {distortion}places of the fields."
@@ -189,7 +187,7 @@ def _spot(reading: MeasurementContext, place: Region) -> Spot:
             f"No height was measured at ({point.x_um:.1f}, {point.y_um:.1f}) um: "
             "set the point where the surface has no holes."
         )
-    noise_um = _at_least(_noise_um(near, adjacent, pixel_um), _peak_noise_um(reading, pixel))
+    noise_um = _at_least(_noise_um(reading, near, adjacent), _peak_noise_um(reading, pixel))
     return Spot(point.x_um, point.y_um, float(np.median(near.z_um[adjacent])), noise_um, int(adjacent.sum()))
 
 
@@ -216,7 +214,7 @@ def _reach_px(reading: MeasurementContext) -> int:
     return NOISE_WINDOWS * (UNKNOWN_WINDOW if window == "auto" else window)
 
 
-def _noise_um(near: HeightSamples, adjacent: NDArray[np.bool_], pixel_um: float) -> float | None:
+def _noise_um(reading: MeasurementContext, near: HeightSamples, adjacent: NDArray[np.bool_]) -> float | None:
     """Return the standard uncertainty of the median of adjacent heights, by the scatter about a plane of those near.
 
     Errors that are alike over much of the area are few independent ones: the plane takes a share of their scatter, and
@@ -225,27 +223,13 @@ def _noise_um(near: HeightSamples, adjacent: NDArray[np.bool_], pixel_um: float)
     if len(near) < MIN_NOISE_POINTS:
         return None
     plane, fit = fit_plane(near)
-    left_um = np.where(fit.inliers, near.z_um - np.asarray(plane.at(near.x_um, near.y_um)), np.nan)
-    squares_um2 = float(np.nanmean(left_um**2))
-    if squares_um2 == 0:
-        return 0.0
-    rows, cols = (np.rint((place - place.min()) / pixel_um).astype(np.intp) for place in (near.y_um, near.x_um))
-    grid = np.full((rows.max() + 1, cols.max() + 1), np.nan)
-    grid[rows, cols] = left_um
-    correlation, independent = area_correlation(grid)
-    freedom = max(LEAST_FREEDOM, independent - 3)
-    share = _of_median(correlation, rows[adjacent], cols[adjacent])
-    return Scatter(math.sqrt(squares_um2 * share * (freedom + 3) / freedom), freedom).widened
-
-
-def _of_median(correlation: Floats, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> float:
-    """Return the variance of the median of normal heights, as a share of that of one; correlation: by lag."""
-    down, across = (n // 2 for n in correlation.shape)
-    lag_rows, lag_cols = rows[:, None] - rows + down, cols[:, None] - cols + across
-    held = (lag_rows >= 0) & (lag_rows <= 2 * down) & (lag_cols >= 0) & (lag_cols <= 2 * across)
-    if not held.all():
-        return 1.0
-    return min(1.0, MEDIAN_OF_NORMAL * float(np.mean(np.nan_to_num(correlation[lag_rows, lag_cols], nan=1.0))))
+    used = near.select(fit.inliers)
+    design = plane_design(used, (plane.x_um, plane.y_um))
+    errors = errors_of(reading, 0, (used,), design, used.z_um - np.asarray(plane.at(used.x_um, used.y_um)))
+    each = near.select(adjacent)
+    mean = errors.scatter(WeightedHeights.of(each, np.full(len(each), 1 / len(each))))
+    single = errors.scatter(WeightedHeights.of(each.select(np.arange(len(each)) == 0), np.ones(1)))
+    return min(math.sqrt(MEDIAN_OF_NORMAL) * mean.widened, single.widened)
 
 
 def _lines(reading: MeasurementContext, spot: Spot) -> Lines | None:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import parameter_u
+from wafer_viewer.measure.base.error_covariance import ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import WINDOW, Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, face_of
-from wafer_viewer.measure.base.robust_fit import Cap, LevelPlane, fit_cap, no_sphere, plane_design
+from wafer_viewer.measure.base.robust_fit import Cap, LevelPlane, fit_cap, no_sphere
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Radius
 from wafer_viewer.model.region import Point, Region
@@ -52,6 +52,10 @@ class RadiusParameters:
 
 
 RADIUS = RadiusParameters()
+SHRINKS = 4.0
+"""Change of the radius, in sags of the top, by averaging a sphere over the focus window."""
+APEX, CURVATURE = np.array([0.0, 0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
+"""Gradients of the height of the apex and of the curvature by the parameters of a sphere."""
 
 
 def bump_radius(
@@ -102,14 +106,19 @@ def bump_radius(
     level = level_for(surface, outer)
     points = _thinned(points_in(surface, outer, reading.layer, level))
     inside = circle.contains(points.x_um, points.y_um)
-    around = _surroundings(points.select(~inside))
+    around = _surroundings(reading, level, points.select(~inside))
     cap, inliers = _cap(points.select(inside), around, circle)
+    errors = cap_errors(cap, inliers, around.errors)
     return Radius(
-        **reading.result_fields(name, level, *reading.not_in_budget()),
+        **reading.result_fields(name, level, *around.notes, *reading.not_in_budget()),
         circle=circle,
         kind="bump" if cap.curvature > 0 else "pit",
-        radius=reading.length(cap.radius_um, _radius_lines(reading, cap, inliers, around)),
-        top=reading.length(_top_um(cap, around.plane), _top_lines(reading, cap, inliers, around)),
+        radius=reading.length(
+            cap.radius_um, _radius_lines(reading, cap, _of_cap(cap, inliers, CURVATURE), errors, around)
+        ),
+        top=reading.length(
+            _top_um(cap, around.plane), _top_lines(reading, cap, _of_cap(cap, inliers, APEX), errors, around)
+        ),
         center=Point(x_um=cap.x_um, y_um=cap.y_um),
         sq_um=float(np.sqrt(np.mean((inliers.z_um - cap.at(inliers)) ** 2))),
         points=len(inliers),
@@ -126,14 +135,14 @@ def _wider(circle: Region) -> Region:
     return Region.circle(center.x_um, center.y_um, RADIUS.ring * circle.radius_um)
 
 
-def _surroundings(points: HeightSamples) -> Face:
+def _surroundings(reading: MeasurementContext, level: int, points: HeightSamples) -> Face:
     """Fit the face around a bump. Raises MeasureError with too few points."""
     if len(points) < RADIUS.least_points:
         raise MeasureError(
             f"Round the circle {len(points)} points are measured and a radius needs at least {RADIUS.least_points}: "
             "draw it larger, where its surroundings are measured."
         )
-    return face_of(points)
+    return face_of(reading, level, points)
 
 
 def _over(points: HeightSamples, plane: LevelPlane) -> Floats:
@@ -189,34 +198,41 @@ def _top_um(cap: Cap, plane: LevelPlane) -> float:
     return to_center / math.hypot(1.0, plane.slope_x, plane.slope_y) + 1 / cap.curvature
 
 
-def _radius_lines(reading: MeasurementContext, cap: Cap, inliers: HeightSamples, around: Face) -> Lines | None:
-    """Return the budget lines of the radius; None if the scatter is unknown.
+def cap_errors(cap: Cap, points: HeightSamples, around: ErrorCovariance) -> ErrorCovariance:
+    """Return the covariance of the errors of a cap: that of its surroundings, larger where its points are noisier."""
+    return around.covering(points, cap.slopes(points), points.z_um - cap.at(points))
+
+
+def _of_cap(cap: Cap, points: HeightSamples, gradient: Floats) -> WeightedHeights:
+    return WeightedHeights.of_fit(points, cap.slopes(points), gradient)
+
+
+def _radius_lines(
+    reading: MeasurementContext, cap: Cap, curvature: WeightedHeights, errors: ErrorCovariance, around: Face
+) -> Lines:
+    """Return the budget lines of the radius.
 
     A cap of radius a and height h has R = a^2 / 2 h: relative errors of h enter once, those of a twice.
     """
-    u_curvature = parameter_u(
-        inliers, cap.slopes(inliers), inliers.z_um - cap.at(inliers), np.array([0.0, 0.0, 0.0, 1.0])
-    )
-    if u_curvature is None:
-        return None
     cap_um = (1 - RADIUS.cap_from) * abs(_top_um(cap, around.plane))
     return {
         "z scale": reading.u_z_scale * cap.radius_um,
         "pixel scale": 2 * reading.u_pixel_scale * cap.radius_um,
-        "noise and form of the cap": u_curvature * cap.radius_um**2,
+        "noise and form of the cap": errors.scatter(curvature).widened * cap.radius_um**2,
+        WINDOW: SHRINKS * reading.sag_um(cap.curvature),
         **reading.frame_lines(cap.radius_um / cap_um),
     }
 
 
-def _top_lines(reading: MeasurementContext, cap: Cap, inliers: HeightSamples, around: Face) -> Lines | None:
-    u_cap = parameter_u(inliers, cap.slopes(inliers), inliers.z_um - cap.at(inliers), np.array([0.0, 0.0, 1.0, 0.0]))
-    design = plane_design(around.points, (cap.x_um, cap.y_um))
-    u_plane = parameter_u(around.points, design, around.residuals_um, np.array([0.0, 0.0, 1.0]))
-    if u_cap is None or u_plane is None:
-        return None
+def _top_lines(
+    reading: MeasurementContext, cap: Cap, apex: WeightedHeights, errors: ErrorCovariance, around: Face
+) -> Lines:
+    """Return the budget lines of the height of the top over the plane of the surroundings."""
+    ground = np.array([cap.x_um - around.plane.x_um, cap.y_um - around.plane.y_um, 1.0])
     return {
         "z scale": reading.u_z_scale * abs(_top_um(cap, around.plane)),
-        "noise and form of the cap": u_cap,
-        "noise and form of the surroundings": u_plane,
+        "noise and form of the cap": errors.scatter(apex).widened,
+        "noise and form of the surroundings": around.scatter(ground).widened,
+        WINDOW: reading.sag_um(cap.curvature),
         **reading.frame_lines(),
     }

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import SIDES, Scatter, Tiles
+from wafer_viewer.measure.base.correlated_errors import Scatter, Tiles
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import (
     LEVELLING,
@@ -92,10 +92,9 @@ class LinearFunctional:
         """Return the value of the functional."""
         return float(self.high @ faces.high.parameters + self.low @ faces.low.parameters)
 
-    def scatter(self, faces: StepFaces) -> Scatter | None:
-        """Return its uncertainty from the scatter of tiles; None where a face has too few of them."""
-        high, low = faces.high.scatter(self.high), faces.low.scatter(self.low)
-        return None if high is None or low is None else Scatter.joined(high, low)
+    def scatter(self, faces: StepFaces) -> Scatter:
+        """Return its uncertainty from the errors of both faces."""
+        return Scatter.joined(faces.high.scatter(self.high), faces.low.scatter(self.low))
 
     def minus(self, other: LinearFunctional) -> LinearFunctional:
         """Return the difference of two functionals."""
@@ -218,7 +217,7 @@ def _of_fields(poses: Poses, pulls: PoseSensitivities) -> float | None:
 def _weights(face: Face, gradient: Floats) -> tuple[Floats, Floats, Floats]:
     """Return tile centres x, y of a face, and their sensitivity coefficients for gradient times the face's plane."""
     columns = np.column_stack([face.points.x_um, face.points.y_um, face.design])
-    means = Tiles.of(face.points, columns, face.part, SIDES[0]).means
+    means = Tiles.of(face.points, columns, face.part).means
     return means[:, 0], means[:, 1], gradient @ np.linalg.pinv(means[:, 2:])
 
 
@@ -333,11 +332,12 @@ def step_height(
         for which, regions in (("upper", uppers), ("lower", lowers))
     )
     _require_apart((*uppers, *lowers), (*above, *below))
-    faces = StepFaces(face_of(*above), face_of(*below))
+    faces = StepFaces(face_of(reading, level, *above), face_of(reading, level, *below))
     h = gradients(faces, definition)
     budget = _budget(reading, faces, h, definition, conditions)
+    notes = *_other_definitions(faces), *dict.fromkeys((*faces.high.notes, *faces.low.notes))
     return StepHeight(
-        **reading.result_fields(name, level, *_other_definitions(faces), *reading.not_in_budget(own=True)),
+        **reading.result_fields(name, level, *notes, *reading.not_in_budget(own=True)),
         upper=uppers[0],
         lower=lowers[0],
         also_upper=uppers[1:],
@@ -381,12 +381,11 @@ def _budget(
     definition: StepDefinition,
     conditions: Conditions,
 ) -> Budget | None:
-    """Return the budget; None where there is no calibration, or the scatter is unknown."""
-    noise = h.scatter(faces) if reading.calibrated else None
-    if noise is None:
+    """Return the budget; None where there is no calibration."""
+    if not reading.calibrated:
         return None
     of_points = {
-        NOISE: noise.widened,
+        NOISE: h.scatter(faces).widened,
         LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
         POSES: poses_u_um(reading.surface, pose_sensitivities(faces, h)),
     }
@@ -399,8 +398,7 @@ def _levelling_um(faces: StepFaces) -> float:
     The change is taken as the full width of a uniform distribution. The noise of the two is in its own line.
     """
     differ = gradients(faces, "lower_face").minus(gradients(faces, "upper_face"))
-    scatter = differ.scatter(faces)
-    by_noise_um = 2 * scatter.widened if scatter is not None else 0.0
+    by_noise_um = 2 * differ.scatter(faces).widened
     return math.sqrt(max(0.0, differ.value(faces) ** 2 - by_noise_um**2) / 12)
 
 
@@ -417,11 +415,10 @@ def _tilt_mrad(faces: StepFaces) -> float:
 def _tilt(reading: MeasurementContext, faces: StepFaces) -> Quantity:
     """Return the tilt between the faces, with the largest uncertainty over directions: near 0 it has no direction."""
     lines: Lines | None = None
-    found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
-    if None not in found:
+    if reading.calibrated:
         poses = [poses_u_um(reading.surface, pose_sensitivities(faces, slope)) for slope in tilts(faces)]
         lines = {
-            NOISE: 1e3 * max(scatter.widened for scatter in found if scatter is not None),
+            NOISE: 1e3 * max(slope.scatter(faces).widened for slope in tilts(faces)),
             "z scale": reading.u_z_scale * _tilt_mrad(faces),
             "pixel scale": reading.u_pixel_scale * _tilt_mrad(faces),
             **({POSES: 1e3 * max(u for u in poses if u is not None)} if None not in poses else {}),

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.measure.base.correlated_errors import parameter_u
+from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
@@ -34,8 +34,6 @@ MIN_BORDER_POINTS = 100
 """Smallest number of measured points of the border."""
 NOISE_DEVIATIONS = 3.0
 """Distance from the plane that is noise, in standard deviations of the border."""
-OFFSET = np.array([0.0, 0.0, 1.0])
-"""Gradient of the height in the middle of a plane by its parameters: slope x, slope y, height."""
 Reference = Literal["border", "zero"]
 REFERENCES: dict[Reference, str] = {
     "border": "Reference: the plane through the border of the region.",
@@ -101,14 +99,14 @@ def area_volume(
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "region", "a volume")
     from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")
-    border = _border(area, region)
+    border = _border(reading, area, region)
     noise_um = NOISE_DEVIATIONS * border.sq_um
     zero = np.asarray(border.plane.at(area.points.x_um, area.points.y_um)) if from_where == "border" else 0.0
     over = area.points.z_um - zero
     noise_um3 = _noise_um3(border, area) if from_where == "border" else None
     above, below = (_side(reading, area, rises, noise_um, noise_um3) for rises in (over, -over))
     return AreaVolume(
-        **reading.result_fields(name, area.level, REFERENCES[from_where], *reading.not_in_budget()),
+        **reading.result_fields(name, area.level, REFERENCES[from_where], *border.notes, *reading.not_in_budget()),
         region=region,
         reference=from_where,
         volume_above=above.volume,
@@ -123,7 +121,7 @@ def area_volume(
     )
 
 
-def _border(area: Area, region: Region) -> Face:
+def _border(reading: MeasurementContext, area: Area, region: Region) -> Face:
     """Fit the face along a region's outline. Raises MeasureError with too few points."""
     width_um = max(LEAST_BORDER_PX * area.pixel_um, BORDER * math.sqrt(region.area_um2))
     points = area.points.select(_from_outline_um(region, area.points) <= width_um)
@@ -132,18 +130,16 @@ def _border(area: Area, region: Region) -> Face:
             f"Along its border the region has {len(points)} measured points and a volume needs at least "
             f"{MIN_BORDER_POINTS}: draw it so that its border lies on measured ground."
         )
-    return face_of(points)
+    return face_of(reading, area.level, points)
 
 
-def _noise_um3(border: Face, area: Area) -> float | None:
-    """Return the standard uncertainty (k = 1) of the volume over the plane due to noise.
-
-    The mean height of the enclosed area is as noisy as that of the plane, in proportion to their sizes.
-    """
-    middle = float(area.points.x_um.mean()), float(area.points.y_um.mean())
-    u_um = parameter_u(border.points, plane_design(border.points, middle), border.residuals_um, OFFSET)
-    border_um2 = len(border.points) * area.pixel_um**2
-    return None if u_um is None else u_um * math.sqrt(area.um2 * (area.um2 - border_um2))
+def _noise_um3(border: Face, area: Area) -> float:
+    """Return the standard uncertainty of the volume: that of all heights less that of the plane under them."""
+    pixel_um2, n = area.pixel_um**2, len(area.points)
+    gradient = plane_design(area.points, (border.plane.x_um, border.plane.y_um)).sum(axis=0)
+    plane = WeightedHeights.of_fit(border.points, border.design, gradient)
+    whole = WeightedHeights.of(area.points, np.ones(n))
+    return pixel_um2 * border.errors.scatter(WeightedHeights.joined((whole, plane.times(-1.0)))).widened
 
 
 def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
