@@ -93,11 +93,25 @@ def test_flatness_and_texture_of_a_face(measured):
     assert measured("texture", *face)["sq"]["value_um"] == pytest.approx(0.02, rel=0.1)
 
 
+def test_flatness_and_texture_tell_their_uncertainty(measured):
+    """All of it is noise, which the values hold and U covers."""
+    face = ["--region", -70, -70, -30, -30]
+    flat = measured("flatness", *face)
+    for name in ("flt_t", "flt_q", "flt_t_minimum_zone"):
+        assert flat[name]["status"] == "evaluated"
+        assert flat[name]["value_um"] < flat[name]["expanded_um"] < 3 * flat[name]["value_um"]
+    without, known = measured("texture", *face), measured("texture", *face, "--noise-um", 0.02)
+    assert without["sq"]["status"] == "not evaluated"
+    assert known["options"]["noise_um"] == 0.02
+    assert known["sq"]["value_um"] == without["sq"]["value_um"] < known["sq"]["expanded_um"]
+    assert "noise of the heights" in [line["name"] for line in known["sq"]["budget"]]
+
+
 def test_texture_and_roughness_through_filters(measured):
     face = ["--region", -70, -70, -30, -30]
     found = measured("texture", *face, "--form-order", 3, "--s-filter-um", 2, "--l-filter-um", 20)
     assert found["filter"] == "Gaussian (ISO 16610-61), S 2 um, L 20 um"
-    assert found["options"] == {"form_order": 3, "s_filter_um": 2.0, "l_filter_um": 20.0}
+    assert found["options"] == {"form_order": 3, "s_filter_um": 2.0, "l_filter_um": 20.0, "noise_um": None}
     assert found["sq"]["value_um"] < 0.015, "noise of single pixels is taken off"
     line = measured("roughness", "--line", -70, -50, -30, -50, "--lambda-c-um", 10, "--lambda-s-um", 2)
     assert (line["sections"], line["section_um"]) == (4, 10.0)

@@ -119,6 +119,54 @@ def test_the_texture_of_waves_is_that_of_the_textbook():
     assert found.sku == pytest.approx((3 / 8) ** 2 / (1 / 4) ** 2, rel=0.01)
     assert found.main == found.sa.quantity
     assert found.sa.status == "not evaluated"
+    assert any("give it with noise_um" in note for note in found.notes)
+
+
+def test_with_its_noise_a_texture_has_an_uncertainty_that_covers_what_noise_added():
+    true = wavy(0.2)
+    noisy = surface_of(true.z_um + noise_of(5, SHAPE, 0.1, 5.0), calibration=calibration(u_z_scale=0.01))
+    smooth, found = texture(true, WAVES), texture(noisy, WAVES, noise_um=0.1)
+    for name in ("sa", "sq", "sp", "sv", "sz", "sk"):
+        length, truth_um = getattr(found, name), getattr(smooth, name).value_um
+        assert length.status == "evaluated"
+        assert abs(length.value_um - truth_um) <= length.expanded_um < 5 * abs(length.value_um - truth_um) + 0.05, name
+    lines = {line.name: line.u_um for line in found.sq.budget}
+    assert lines["z scale"] == pytest.approx(0.01 * found.sq.value_um)
+    assert lines["noise of the heights"] > 0.5 * (found.sq.value_um - smooth.sq.value_um)
+    assert any("values are not corrected for it" in note for note in found.notes)
+    assert found.sal.status == "not evaluated"
+    less = texture(noisy, WAVES, noise_um=0.02)
+    assert less.sq.value_um == found.sq.value_um, "by definition, whatever the noise"
+    assert less.sq.expanded_um < found.sq.expanded_um
+
+
+def test_without_a_valid_calibration_texture_and_flatness_have_no_u():
+    assert texture(wavy(), WAVES, noise_um=0.1, calibration_valid=False).sq.status == "uncalibrated"
+    assert flatness(wavy(), WAVES, calibration_valid=False).flt_t.status == "uncalibrated"
+
+
+def test_what_the_focus_window_took_of_short_waves_is_in_the_budget():
+    def line(window):
+        made = replace(Recipe(), window=window)
+        surface = surface_of(wavy().z_um, calibration=calibration(), recipe=made)
+        found = texture(surface, WAVES, noise_um=0.0)
+        return {line.name: line.u_um for line in found.sq.budget}["resolution of the focus window"]
+
+    assert 0 < 3 * line(3) < line(9)
+
+
+@pytest.mark.parametrize("correlation_px", [0.0, 9.0])
+def test_the_uncertainty_of_flatness_covers_what_noise_added(correlation_px):
+    x_um, y_um = lattice()
+    bow = 1e-3 * (x_um**2 - x_um * y_um)
+    truth = flatness(surface_of(bow), FACE)
+    noisy = surface_of(bow + noise_of(7, SHAPE, 0.1, correlation_px), calibration=calibration(u_z_scale=0.0))
+    found = flatness(noisy, FACE)
+    for name in ("flt_t", "flt_q", "flt_t_minimum_zone"):
+        length, truth_um = getattr(found, name), getattr(truth, name).value_um
+        assert abs(length.value_um - truth_um) <= length.expanded_um < 1.5, name
+    assert {line.name for line in found.flt_t.budget} >= {"z scale", "noise of the heights"}
+    assert found.flt_t.value_um > truth.flt_t.value_um
 
 
 def test_holes_leave_the_texture_as_it_is():
@@ -148,7 +196,7 @@ def test_flatness_is_about_the_plane_of_least_squares():
     assert found.flt_t.value_um == pytest.approx(2.0, abs=0.05)
     assert found.flt_q.value_um == pytest.approx(0.5, rel=0.01)
     assert found.reference == "least_squares"
-    assert (found.main.status, found.main.unit) == ("not evaluated", "um")
+    assert (found.main.status, found.main.unit) == ("evaluated", "um")
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.003])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.plane_faces import Area, area_of
+from wafer_viewer.measure.base.measurement_context import WINDOW, Z_SCALE, Lines, MeasurementContext
+from wafer_viewer.measure.base.noise_bias import BIAS_SHARE, MOST_SIDE, NOISE, noise_lines, window_covariance
+from wafer_viewer.measure.base.plane_faces import area_of, lattice_of
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Texture
@@ -20,6 +22,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.correlation import autocorrelation
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean
 from wafer_viewer.numerics.filters.interpolation import polynomial
+from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
 
 
 def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:
@@ -114,16 +117,6 @@ BORDERS = (
     "Filter at borders and holes: weights scaled to sum one (ISO 16610-28, moment criterion of order 0); nothing from "
     "outside of the region."
 )
-
-
-def lattice_of(area: Area) -> Floats:
-    """Return the heights of a face, float64 [row, col] of its bounding rectangle; NaN where there are none."""
-    points, pixel_um = area.points, area.pixel_um
-    rows = np.rint((points.y_um.max() - points.y_um) / pixel_um).astype(np.intp)
-    cols = np.rint((points.x_um - points.x_um.min()) / pixel_um).astype(np.intp)
-    z_um = np.full((int(rows.max()) + 1, int(cols.max()) + 1), np.nan)
-    z_um[rows, cols] = points.z_um
-    return z_um
 
 
 def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Floats:
@@ -325,6 +318,7 @@ def texture(
     form_order: int = 1,
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
+    noise_um: float | None = None,
     calibration_valid: bool = True,
     layer: Layer | None = None,
     name: str = "",
@@ -345,6 +339,9 @@ def texture(
         Nesting index in um of the Gaussian filter that removes shorter waves. Default None: no filter.
     l_filter_um : float, optional
         Nesting index in um of the Gaussian filter that removes longer waves. Default None: no filter.
+    noise_um : float, optional
+        Root mean square noise of the heights in um, as repeats of a flat give it (`calibrate noise`). Default None:
+        unknown, and the uncertainty is not evaluated.
     calibration_valid : bool, optional
         Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
         calibration, results have status 'uncalibrated' and no uncertainty.
@@ -358,7 +355,7 @@ def texture(
     Texture
         Height (Sa, Sq, Sp, Sv, Sz in um; Ssk, Sku), hybrid (Sdq, Sdr as a fraction), functional (Sk, Spk, Svk in um;
         Smr1, Smr2 as fractions) and spatial parameters (Sal in um, Str, Std in degrees). Parameters that are not
-        defined for this surface are None. Without uncertainty: the contribution of noise is not evaluated.
+        defined for this surface are None. With a noise, the lengths but Sal have expanded uncertainties (k = 2).
 
     Raises
     ------
@@ -369,7 +366,8 @@ def texture(
     MeasureError
         If the face is smaller than a filter, or its points do not determine the form.
     MeasureError
-        If `form_order` is outside its range, a filter is not positive, or `s_filter_um` is not below `l_filter_um`.
+        If `form_order` is outside its range, a filter is not positive, `s_filter_um` is not below `l_filter_um`, or
+        `noise_um` is negative.
 
     Notes
     -----
@@ -380,17 +378,25 @@ def texture(
     A flat surface has no Ssk, Sku and spatial parameters, and one without a lay no Std. The notes of the result name
     waves too short to be resolved and an Sq that may be mostly noise.
 
+    Values are those of the definition, not corrected for noise or for the resolution of the focus window. Their
+    uncertainty covers both: realisations of the noise, alike over a focus window as that of heights is, are added to
+    the surface and evaluated, and the surface is averaged over the window once more (ISO 25178-700 [5]_).
+
     References
     ----------
     .. [1] ISO 25178-2, Surface texture: Areal - Part 2: Terms, definitions and surface texture parameters.
     .. [2] ISO 25178-3, Surface texture: Areal - Part 3: Specification operators.
     .. [3] ISO 16610-61, Filtration - Part 61: Linear areal filters: Gaussian filters.
     .. [4] ISO 16610-28, Filtration - Part 28: Profile filters: End effects.
+    .. [5] ISO 25178-700, Surface texture: Areal - Part 700: Calibration, adjustment and verification of areal
+       topography measuring instruments.
     """
-    options = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
+    options = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um, noise_um=noise_um)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "texture")
-    z_um = scale_limited(lattice_of(area), area.pixel_um, options)
+    lattice_um = lattice_of(area)
+    z_um = scale_limited(lattice_um, area.pixel_um, options)
+    lines = _lines(reading, lattice_um, area.pixel_um, options) if reading.calibrated else {}
     left = z_um[np.isfinite(z_um)]
     sq_um = float(np.sqrt(np.mean(left**2)))
     flat = sq_um <= ROUNDING * float(np.abs(area.points.z_um).max())
@@ -400,43 +406,129 @@ def texture(
         *names,
         *unseen_waves(surface.provenance, area.pixel_um, s_filter_um, "The S-filter"),
         *near_noise(surface.provenance, sq_um, "Sq"),
+        *_noise_notes(reading, options),
     )
+    lengths = {
+        name: reading.length(value_um, _with_scale(reading, value_um, lines.get(name)))
+        for name, value_um in length_parameters(left).items()
+    }
     return Texture(
         **{**reading.result_fields(name, area.level, *notes), "filter": filter_names(options)},
         region=region,
         options=options,
-        **_heights(reading, left, sq_um, flat),
+        **lengths,
+        **_moments(left, sq_um, flat),
         sdq=root_mean_square_gradient(z_um, area.pixel_um),
         sdr_fraction=developed_fraction(z_um, area.pixel_um),
-        **_functional(reading, left),
+        smr1_fraction=(found := bearing(left)).smr1,
+        smr2_fraction=found.smr2,
         **waves,
         points=len(left),
         measured_fraction=area.measured_fraction,
     )
 
 
-def _heights(reading: MeasurementContext, left: Floats, sq_um: float, flat: bool) -> dict[str, Any]:
+def length_parameters(left: Floats) -> dict[str, float]:
+    """Return the height and functional parameters in um of heights [n] with mean 0, by the names of their fields."""
+    core = bearing(left)
+    return {
+        "sa": float(np.mean(np.abs(left))),
+        "sq": float(np.sqrt(np.mean(left**2))),
+        "sp": float(left.max()),
+        "sv": float(-left.min()),
+        "sz": float(np.ptp(left)),
+        "sk": core.sk_um,
+        "spk": core.spk_um,
+        "svk": core.svk_um,
+    }
+
+
+def _moments(left: Floats, sq_um: float, flat: bool) -> dict[str, float | None]:
     squares, n = left * left, len(left)
     return {
-        "sa": reading.length(float(np.mean(np.abs(left))), None),
-        "sq": reading.length(sq_um, None),
-        "sp": reading.length(float(left.max()), None),
-        "sv": reading.length(float(-left.min()), None),
-        "sz": reading.length(float(np.ptp(left)), None),
         "ssk": None if flat else float(squares @ left) / n / sq_um**3,
         "sku": None if flat else float(squares @ squares) / n / sq_um**4,
     }
 
 
-def _functional(reading: MeasurementContext, left: Floats) -> dict[str, Any]:
-    found = bearing(left)
+NOISE_GIVEN = "Noise of {:.3g} um: values are not corrected for it, U covers it."
+NOISE_UNKNOWN = (
+    "U needs the noise of the heights, as `calibrate noise` measures it from repeats: give it with noise_um."
+)
+EXTREMES = ("sp", "sv", "sz", "sk", "spk", "svk")
+"""Parameters that grow in proportion to the noise."""
+LONGEST_NOISE = 4.0
+"""Length over which noise may be alike, in focus windows: U is the larger of that by one and by so many.
+
+An S-filter removes the shorter noise and passes the longer one.
+"""
+FILTERS_ROOM = 4.0
+"""Smallest side, in lengths of the longest filter, of the part on which noise is evaluated."""
+
+
+def _noise_notes(reading: MeasurementContext, options: TextureOptions) -> tuple[str, ...]:
+    if not reading.calibrated:
+        return ()
+    if options.noise_um is None:
+        return (NOISE_UNKNOWN,)
+    return NOISE_GIVEN.format(options.noise_um), *reading.not_in_budget()
+
+
+def _lines(reading: MeasurementContext, z_um: Floats, pixel_um: float, options: TextureOptions) -> dict[str, Lines]:
+    """Return the budget lines of each length parameter that its size does not give; empty where noise is unknown."""
+    if options.noise_um is None:
+        return {}
+    longest_um = max(options.s_filter_um or 0.0, options.l_filter_um or 0.0)
+    part = _middle(z_um, max(MOST_SIDE, round(FILTERS_ROOM * longest_um / pixel_um)))
+
+    def evaluate(heights_um: Floats) -> dict[str, float]:
+        left = scale_limited(heights_um, pixel_um, options)
+        return length_parameters(left[np.isfinite(left)])
+
+    window_px = _window_px(reading, pixel_um)
+    models = (window_covariance(options.noise_um, times * window_px) for times in (1.0, LONGEST_NOISE))
+    noises = [noise_lines(evaluate, part, covariance, EXTREMES) for covariance in models]
+    found, coarser = evaluate(part), evaluate(_averaged(part, window_px))
+    frames = reading.frame_lines(1 / math.sqrt(2))
     return {
-        "sk": reading.length(found.sk_um, None),
-        "spk": reading.length(found.spk_um, None),
-        "svk": reading.length(found.svk_um, None),
-        "smr1_fraction": found.smr1,
-        "smr2_fraction": found.smr2,
+        name: {
+            NOISE: max(noise[name] for noise in noises),
+            WINDOW: BIAS_SHARE * _lost_um(found[name], coarser[name]),
+            **frames,
+        }
+        for name in found
     }
+
+
+def _with_scale(reading: MeasurementContext, value_um: float, lines: Lines | None) -> Lines | None:
+    return None if lines is None else {Z_SCALE: reading.u_z_scale * value_um, **lines}
+
+
+def _middle(z_um: Floats, side_px: int) -> Floats:
+    """Return the middle of a lattice, at most so many pixels wide."""
+    rows, cols = (slice(max(0, (n - side_px) // 2), (n + side_px) // 2) for n in z_um.shape)
+    return z_um[rows, cols]
+
+
+def _window_px(reading: MeasurementContext, pixel_um: float) -> float:
+    """Return the focus window in pixels of a level; one pixel where the surface does not tell it."""
+    provenance = reading.surface.provenance
+    window = provenance.recipe.window
+    return 1.0 if isinstance(window, str) else max(1.0, window * reading.surface.pixel_um / pixel_um)
+
+
+def _averaged(z_um: Floats, window_px: float) -> Floats:
+    """Return heights averaged over the focus window twice, as wide as caps show that a focus measure averages."""
+    valid, size = np.isfinite(z_um), 2 * round((window_px - 1) / 2) + 1
+    averaged = np.where(valid, z_um - np.nanmean(z_um), 0.0)
+    for _ in range(2):
+        averaged = mean_of_valid(averaged, valid, size)
+    return np.where(valid, averaged, np.nan)
+
+
+def _lost_um(value_um: float, coarser_um: float) -> float:
+    """Return what averaging took of a length, by the share that it takes when it is done once more."""
+    return value_um * max(0.0, value_um / coarser_um - 1) if coarser_um > 0 else value_um
 
 
 def _spatial(

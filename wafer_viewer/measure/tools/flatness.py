@@ -7,8 +7,9 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.plane_faces import area_of, least_squares_plane
+from wafer_viewer.measure.base.measurement_context import FLATNESS, Z_SCALE, Lines, MeasurementContext
+from wafer_viewer.measure.base.noise_bias import NOISE, noise_lines, scatter_covariance, thinned
+from wafer_viewer.measure.base.plane_faces import Area, area_of, lattice_of, least_squares_plane
 from wafer_viewer.model.measurement.measurements import Flatness
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -17,7 +18,10 @@ BAND = (0.135, 99.865)
 """Percentiles that enclose 99.73 % of the heights, as +-3 deviations of normal noise do."""
 ROUNDING = 1e-9
 """Residuals below this fraction of the extent of a face are rounding."""
-EXTREMES = "FLTt is between the two most extreme points: noise and single false heights make it larger."
+EXTREMES = (
+    "FLTt is between the two most extreme points: noise and single false heights make it larger. Values are not "
+    "corrected for noise; U covers what the scatter about a smooth form, as noise, adds to them."
+)
 
 
 def flatness(
@@ -45,8 +49,8 @@ def flatness(
     Returns
     -------
     Flatness
-        FLTt, FLTq, FLTt of the minimum zone, and the band that encloses 99.73 % of the heights, all in um and without
-        uncertainty: the effect of noise on the extremes is not evaluated.
+        FLTt, FLTq and FLTt of the minimum zone in um with expanded uncertainties (k = 2), and the band that encloses
+        99.73 % of the heights, in um and without uncertainty.
 
     Raises
     ------
@@ -62,6 +66,9 @@ def flatness(
     Every measured point counts; no outliers are rejected. FLTt is between the two most extreme points, so that noise
     and single false heights make it larger. Parameters are those of ISO 12781-1 [1]_.
 
+    Values are not corrected for noise. Their uncertainty covers its bias: the scatter of the heights about a polynomial
+    of second order is taken as noise, an upper bound, and realisations of it are added to the surface and evaluated.
+
     References
     ----------
     .. [1] ISO 12781-1, Flatness - Part 1: Vocabulary and parameters of flatness.
@@ -70,13 +77,15 @@ def flatness(
     area = area_of(reading, region, "face", "flatness")
     _, left = least_squares_plane(area.points)
     low, high = np.percentile(left, BAND)
+    zone_um, total_um, rms_um = minimum_zone(area.points, left), float(np.ptp(left)), float(np.sqrt(np.mean(left**2)))
+    noise = _noise_um(area) if reading.calibrated else {}
     return Flatness(
-        **reading.result_fields(name, area.level, EXTREMES),
+        **reading.result_fields(name, area.level, EXTREMES, *reading.not_in_budget()),
         region=region,
         reference="least_squares",
-        flt_t=reading.length(float(np.ptp(left)), None),
-        flt_t_minimum_zone=reading.length(minimum_zone(area.points, left), None),
-        flt_q=reading.length(float(np.sqrt(np.mean(left**2))), None),
+        flt_t=reading.length(total_um, _lines(reading, total_um, noise.get("t"))),
+        flt_t_minimum_zone=reading.length(zone_um, _lines(reading, zone_um, noise.get("zone"))),
+        flt_q=reading.length(rms_um, _lines(reading, rms_um, noise.get("q"))),
         band_9973_um=float(high - low),
         points=len(area.points),
         measured_fraction=area.measured_fraction,
@@ -102,3 +111,32 @@ def minimum_zone(points: HeightSamples, left_um: Floats) -> float:
     limits = np.concatenate([-corners[:, 2], corners[:, 2]])
     found = linprog([0, 0, 1, -1], A_ub=np.vstack([under_top, over_foot]), b_ub=limits, bounds=(None, None))
     return float(found.fun) * height_um
+
+
+def _noise_um(area: Area) -> dict[str, float]:
+    """Return the standard uncertainties of FLTt, of the minimum zone and of FLTq due to noise; empty if unknown."""
+    z_um, step = thinned(lattice_of(area))
+    covariance = scatter_covariance(z_um)
+    rows, cols = np.indices(z_um.shape) * step * area.pixel_um
+    known = np.isfinite(z_um)
+
+    def evaluate(noisy_um: Floats) -> dict[str, float]:
+        points = HeightSamples(*(each[known].astype(np.float64) for each in (cols, rows, noisy_um)))
+        _, left = least_squares_plane(points)
+        total, rms = float(np.ptp(left)), float(np.sqrt(np.mean(left**2)))
+        return {"t": total, "zone": minimum_zone(points, left), "q": rms}
+
+    return {} if covariance is None else noise_lines(evaluate, z_um, covariance, ("t", "zone"))
+
+
+def _lines(reading: MeasurementContext, value_um: float, noise_um: float | None) -> Lines | None:
+    if noise_um is None:
+        return None
+    calibration = reading.surface.provenance.calibration
+    deviation_um = None if calibration is None else calibration.u_flatness_um
+    return {
+        Z_SCALE: reading.u_z_scale * value_um,
+        NOISE: noise_um,
+        **({} if deviation_um is None else {FLATNESS: deviation_um}),
+        **reading.frame_lines(),
+    }

@@ -73,12 +73,14 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
 
     form_order: order of the least-squares polynomial removed as form; 0 is the mean, 1 a plane.
     s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that remove shorter and longer
-    wavelengths; None: no filter.
+    wavelengths; None: no filter. noise_um: root mean square noise of the heights, as `calibrate noise` measures it, for
+    the uncertainty; None: unknown.
     """
 
     form_order: Annotated[int, Within(0, 8)] = 1
     s_filter_um: Positive | None = None
     l_filter_um: Positive | None = None
+    noise_um: NonNegative | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -467,6 +467,12 @@ _BUILT_IN = (
                 "Removes longer wavelengths; empty: no filter",
                 help="Nesting index of the Gaussian filter that removes longer wavelengths; none by default.",
             ),
+            NumberControl(
+                "Noise, µm",
+                "noise_um",
+                "Measurement noise of the heights, from repeats, for U; empty: unknown",
+                help="Root mean square noise of the heights, as `calibrate noise` measures it; U is evaluated with it.",
+            ),
         ),
     ),
     MeasuringTool(
