@@ -95,7 +95,7 @@ def stairs(scene: Tilted) -> Stairs:
     white = (2**scene.bits) - 1
     images = np.empty((len(z_um), *scene.shape), np.uint8 if scene.bits == 8 else np.uint16)
     level, column = np.unique(heights_um, return_inverse=True)
-    transfer, half = _Transfer(scene.shape, scene.na), _Transfer(scene.shape, scene.na / 2)
+    transfer, half = Transfer(scene.shape, scene.na), Transfer(scene.shape, scene.na / 2)
     unit_um = scene.step_um / PHASES / (8 if scene.jitter else 1)
     blurred: dict[int, Floats] = {}
     for k, z in enumerate(z_um):
@@ -140,12 +140,12 @@ def pooled(found: Sequence[PhaseError]) -> PhaseError:
     return PhaseError(*(float(np.mean([getattr(one, name) for one in found])) for name in PhaseError.__slots__))
 
 
-class _Transfer:
+class Transfer:
     """Stokseth's approximation of the transfer of a lens out of focus, and the area of a pixel."""
 
-    def __init__(self, shape: tuple[int, int], na: float) -> None:
+    def __init__(self, shape: tuple[int, int], na: float, pixel_um: float = PIXEL_UM) -> None:
         rows, cols = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
-        frequency = np.hypot(rows, cols) / PIXEL_UM
+        frequency = np.hypot(rows, cols) / pixel_um
         s = np.minimum(frequency * WAVELENGTH_UM / na, 2.0)
         self._focused = (1 - 0.69 * s + 0.0076 * s**2 + 0.043 * s**3) * (s < 2) * np.sinc(rows) * np.sinc(cols)
         self._per_um = 4 * np.pi / WAVELENGTH_UM * (1 - np.sqrt(1 - na**2)) * s * (1 - s / 2)
