@@ -19,7 +19,7 @@ BLOCKS_STEP_UM = 399.88
 """The certified step of the paper's gauge blocks."""
 
 _MIDDLE_UM = 201.3
-_MARGIN_PX = 290
+MARGIN_PX = 290
 """How far beyond the frame light comes from: 300 um out of focus at NA 0.40, 450 um at NA 0.28."""
 Shape = tuple[int, int]
 
@@ -29,28 +29,30 @@ def plane(
 ) -> TruthScene:
     """A plane that rises by `tilt` along the columns, and by half of it up the rows."""
     down, right = _points(shape)
-    return _smooth("plane", seed, shape, middle_um + tilt * right - tilt / 2 * down, contrast)
+    return smooth_scene("plane", seed, shape, middle_um + tilt * right - tilt / 2 * down, contrast)
 
 
 def cone(seed: int, shape: Shape = (320, 320), height_um: float = 60.0, contrast: float = 0.4) -> TruthScene:
     """A cone whose foot touches the border of the frame."""
     down, right = _points(shape)
     foot_um = min(shape) / 2 * PIXEL_UM
-    return _smooth("cone", seed, shape, 170 + height_um * np.maximum(0, 1 - np.hypot(down, right) / foot_um), contrast)
+    return smooth_scene(
+        "cone", seed, shape, 170 + height_um * np.maximum(0, 1 - np.hypot(down, right) / foot_um), contrast
+    )
 
 
 def cosine(seed: int, shape: Shape = (320, 320), height_um: float = 30.0, contrast: float = 0.4) -> TruthScene:
     """Waves along both axes, 100 um long, height_um from trough to crest."""
     down, right = _points(shape)
     waves = np.cos(2 * np.pi * down / 100) + np.cos(2 * np.pi * right / 100)
-    return _smooth("cosine", seed, shape, _MIDDLE_UM + height_um / 4 * waves, contrast)
+    return smooth_scene("cosine", seed, shape, _MIDDLE_UM + height_um / 4 * waves, contrast)
 
 
 def band(seed: int, shape: Shape = (320, 320), contrast: float = 0.4) -> TruthScene:
     """A level plane with a band across it, a fifth of the frame wide, on which there is nothing to see."""
     down, right = _points(shape)
     bare = np.abs(turned(down, right, 12)[0]) < shape[0] * PIXEL_UM / 10
-    return _smooth("band", seed, shape, np.full_like(down, _MIDDLE_UM), contrast, ~bare)
+    return smooth_scene("band", seed, shape, np.full_like(down, _MIDDLE_UM), contrast, ~bare)
 
 
 def stair(seed: int, shape: Shape = (320, 320), treads: int = 6, riser_um: float = 40.0) -> TruthScene:
@@ -144,7 +146,7 @@ SCENES: dict[str, Callable[..., TruthScene]] = {
 
 
 def _points(shape: Shape) -> tuple[Array, Array]:
-    return lattice_um(shape, _MARGIN_PX, PIXEL_UM)
+    return lattice_um(shape, MARGIN_PX, PIXEL_UM)
 
 
 def _moved(points: tuple[Array, Array], by_um: Array) -> tuple[Array, Array]:
@@ -157,7 +159,7 @@ def _grey(level: float, contrast: float, textured: NDArray[np.bool_], rng: np.ra
     return level * np.clip(1 + contrast * strength * texture(textured.shape, rng), 0.05, 2.5)
 
 
-def _smooth(
+def smooth_scene(
     name: str, seed: int, shape: Shape, height_um: Array, contrast: float, textured: NDArray[np.bool_] | None = None
 ) -> TruthScene:
     textured = np.ones(height_um.shape, bool) if textured is None else textured
@@ -176,8 +178,8 @@ def _layered(
     everywhere = np.full_like(heights[0], -1e6)
     height, outline, grey = (np.stack(a).astype(np.float32) for a in (heights, [everywhere, *outlines], greys))
     nothing = (np.zeros_like(height) for _ in range(3))
-    seen = textured[_MARGIN_PX:-_MARGIN_PX, _MARGIN_PX:-_MARGIN_PX]
-    return TruthScene(name, height, outline, grey, *nothing, seen, _MARGIN_PX)
+    seen = textured[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
+    return TruthScene(name, height, outline, grey, *nothing, seen, MARGIN_PX)
 
 
 def _polish(scene: TruthScene, layer: int, gloss: float, rng: np.random.Generator) -> None:

@@ -72,6 +72,23 @@ def test_one_surface_is_less_steep_than_the_cone_of_light(slope: float, kept: bo
     assert found.step_edge.all() != kept
 
 
+@pytest.mark.parametrize(("angle_deg", "slope"), [(45, 0.55), (20, 0.6)])
+def test_a_plane_may_be_as_steep_along_a_diagonal(angle_deg: float, slope: float) -> None:
+    down, right = np.indices((60, 80))
+    along = np.cos(np.radians(angle_deg)) * right + np.sin(np.radians(angle_deg)) * down
+    rng = np.random.default_rng(2)
+    found = cleaned_of((slope * 3.9 * 0.5 * along + rng.normal(0, 0.2, along.shape)).astype(np.float32))
+    assert np.isfinite(found.raw_um).all()
+
+
+@pytest.mark.parametrize("jump_um", [7.0, 10.0])
+def test_a_jump_on_a_slope_is_still_an_edge(jump_um: float) -> None:
+    right = np.arange(80, dtype=np.float32) * np.ones((60, 1), np.float32)
+    found = cleaned_of(0.5 * right + jump_um * (right >= 40))
+    assert found.step_edge[:, 38:42].all()
+    assert not found.step_edge[:, :30].any()
+
+
 def test_heights_continuing_from_bleeding_are_rejected() -> None:
     everything = 1.6 * np.arange(80, dtype=np.float32) * np.ones((60, 1), np.float32)
     beyond = np.arange(80) >= 76

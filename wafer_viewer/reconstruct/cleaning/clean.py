@@ -32,8 +32,9 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
+from wafer_viewer.numerics.filters.local_planes import local_planes
 from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
-from wafer_viewer.numerics.filters.sliding_filters import doubled, highest, lowest
+from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
@@ -170,10 +171,22 @@ class JumpParameters:
     cone_share : float
         Steepest slope of a surface, relative to the cone of light of the objective: bleeding light makes surfaces as
         steep as the cone.
+    plane_share : float
+        Steepest slope of a surface that a plane describes over two windows, relative to the cone of light.
+    plane_coverage : float
+        Smallest measured fraction of these windows.
+    plane_residual : float
+        Largest root mean square distance from the plane, in steps of the resolution: tests/truth/relief.py.
+    plane_explained : float
+        Smallest fraction of the variance that the plane explains; a jump in the middle of the windows leaves a quarter.
     """
 
     steps: float = 1.0
     cone_share: float = 0.6
+    plane_share: float = 0.7
+    plane_coverage: float = 0.9
+    plane_residual: float = 0.2
+    plane_explained: float = 0.9
 
 
 JUMP = JumpParameters()
@@ -300,17 +313,38 @@ def _step_edges(
     """Return a mask of heights with another surface within about half a window."""
     edge_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
     limit_um = _jump_limit_um(recipe, pixel_um, resolution_um)
-    return (height_range_um(edge_um, int(recipe.window)) > limit_um) & np.isfinite(z_um)
+    apart = (height_range_um(edge_um, int(recipe.window)) > limit_um) & np.isfinite(z_um)
+    return apart & ~_on_slope(edge_um, pixel_um, recipe, resolution_um) if apart.any() else apart
+
+
+def _on_slope(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
+    """Return a mask of the pixels in the middle of a steep plane two windows wide, evaluated for 2 x 2 pixels together.
+
+    A jump within the windows is no plane, and light that bleeds over a wall makes a surface as steep as the cone.
+    """
+    finite = np.isfinite(z_um)
+    share = halved(finite)
+    cells = halved(np.where(finite, z_um, np.float32(0)))
+    cells = np.divide(cells, share, out=np.full(share.shape, np.nan, np.float32), where=share > 0)
+    planes = local_planes(cells, int(recipe.window))
+    steepest = JUMP.plane_share * _cone(recipe) * 2 * pixel_um
+    on_slope = (planes.gradient < steepest) & (planes.coverage >= JUMP.plane_coverage)
+    on_slope &= (planes.residual < JUMP.plane_residual * resolution_um) & (planes.explained > JUMP.plane_explained)
+    return doubled(on_slope, z_um.shape)
+
+
+def _cone(recipe: Recipe) -> float:
+    """Return the slope of the cone of light: the root of the depth of field, lambda / NA^2, in wavelengths.
+
+    This holds for small apertures.
+    """
+    return math.sqrt(float(recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS / WAVELENGTH_UM)
 
 
 def _jump_limit_um(recipe: Recipe, pixel_um: float, resolution_um: float) -> float:
-    """Return the largest height range of one surface within the pixels of `height_range_um`.
-
-    The cone of light is as steep as the root of the depth of field, lambda / NA^2, in wavelengths, for small apertures.
-    """
-    depth_um = float(recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS
+    """Return the largest height range of one surface within the pixels of `height_range_um`."""
     extent_um = (2 * _range_cells(int(recipe.window)) - 1) * pixel_um
-    return max(JUMP.steps * resolution_um, JUMP.cone_share * math.sqrt(depth_um / WAVELENGTH_UM) * extent_um)
+    return max(JUMP.steps * resolution_um, JUMP.cone_share * _cone(recipe) * extent_um)
 
 
 def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:

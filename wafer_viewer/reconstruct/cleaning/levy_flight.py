@@ -4,7 +4,9 @@ Taken literally the equations cannot remove noise: a flight is accepted when it 
 the noisy map is the optimum. `guided` flies towards the median of the neighbourhood instead, and only where a pixel
 stands out from it; `switching_median` is the deterministic end point of those flights. Both leave the noise of all
 other pixels unchanged. `sigma_filter` also averages that noise, over the neighbours that agree with a pixel (after Lee
-1983), and it detects outliers along lines instead of squares, so that corners and narrow ridges are preserved.
+1983), and it detects outliers along lines instead of squares, so that corners and narrow ridges are preserved. Where
+averages flatten crests and troughs by more than noise moves them, what they removed is smoothed and added again
+(twicing, Tukey 1977).
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -28,6 +31,7 @@ from wafer_viewer.numerics.filters.denoising import (
     pad_with_nan,
     pair_mean,
 )
+from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 NOISE_LAG_PX = 15
@@ -55,7 +59,8 @@ def smooth(z_um: Map, levy: Levy, resolution_um: float) -> Map:
     quiet the map; a deviation above it always is, however much of the map is false.
     """
     rounds = islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), int(levy.iterations))
-    return deque(rounds, maxlen=1)[0].copy()
+    smoothed = deque(rounds, maxlen=1)[0].copy()
+    return _with_curvature(z_um, smoothed, levy, resolution_um) if levy.mode == "sigma_filter" else smoothed
 
 
 def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray[np.float32]:
@@ -164,6 +169,58 @@ def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     while True:
         z_um = pair_mean(_without_spikes(z_um, limit_um), limit_um)
         yield z_um
+
+
+@dataclass(frozen=True, slots=True)
+class CurvatureParameters:
+    """When smoothing has flattened a map, and how often what it removed is added again: tests/truth/relief.py.
+
+    Parameters
+    ----------
+    significance : float
+        Root mean square of the systematic move by all rounds, relative to the random move by one round, from which it
+        is restored; restored completely at sqrt 2 times that. Noise on a plane reaches a quarter to half of it.
+    window_px : int, px
+        Side of the square in which the mean square is taken.
+    passes : int
+        Number of corrections.
+    """
+
+    significance: float = 0.5
+    window_px: int = 15
+    passes: int = 2
+
+
+CURVATURE = CurvatureParameters()
+
+
+def _with_curvature(z_um: Map, smoothed: Map, levy: Levy, resolution_um: float) -> Map:
+    """Return a smoothed map with the crests and troughs that the averages have flattened."""
+    limit_um = _limit_um(height_noise_um(z_um), levy, resolution_um)
+    reference = _without_spikes(z_um, limit_um)
+    random = np.abs(reference - pair_mean(reference, limit_um))
+    valid = np.isfinite(random)
+    if not valid.any():
+        return smoothed
+    limit = (CURVATURE.significance * MAD_TO_SIGMA * float(np.median(random[valid]))) ** 2
+    share: Map | None = None
+    for _ in range(CURVATURE.passes):
+        removed = reference - smoothed
+        removed[np.abs(removed) > int(levy.iterations) * limit_um] = np.nan  # no round of averages moves more
+        for _ in range(int(levy.iterations)):
+            removed = pair_mean(removed, limit_um)
+        removed = np.nan_to_num(removed, copy=False)
+        if share is None:
+            energy = mean_of_valid(removed**2, valid, CURVATURE.window_px)
+            share = np.clip(energy / np.float32(max(limit, _LEAST_ENERGY_UM2)) - 1, 0, 1)
+            if not share.any():
+                return smoothed
+        smoothed = smoothed + share * removed
+    return smoothed
+
+
+_LEAST_ENERGY_UM2 = 1e-12
+"""Mean square of the moves that counts as no noise at all."""
 
 
 def _limit_um(noise_um: float, levy: Levy, resolution_um: float) -> float:
