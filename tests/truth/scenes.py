@@ -162,6 +162,7 @@ def _grey(level: float, contrast: float, textured: NDArray[np.bool_], rng: np.ra
 def smooth_scene(
     name: str, seed: int, shape: Shape, height_um: Array, contrast: float, textured: NDArray[np.bool_] | None = None
 ) -> TruthScene:
+    """One surface without walls, heights in um on the lattice with its margin; textured: bool on it."""
     textured = np.ones(height_um.shape, bool) if textured is None else textured
     grey = _grey(0.4, contrast, textured, np.random.default_rng(seed))
     return _layered(name, shape, [height_um], [], [grey], textured)

@@ -184,7 +184,7 @@ class JumpParameters:
     steps: float = 1.0
     cone_share: float = 0.6
     plane_share: float = 0.7
-    plane_coverage: float = 0.9
+    plane_coverage: float = 0.7
     plane_residual: float = 0.2
     plane_explained: float = 0.9
 

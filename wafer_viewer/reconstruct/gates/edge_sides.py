@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.filters.local_planes import local_planes
 from wafer_viewer.numerics.filters.sliding_filters import (
     doubled,
     halved,
@@ -60,13 +61,19 @@ class WallParameters:
     measured_share : float
         Share of measured pixels around texture that looks like a wall.
     jump_tolerances : float
-        Largest height range of neighbouring cells there, in tolerances for equal heights.
+        Smallest jump that is none of one surface, in tolerances for equal heights.
+    jump_residual : float
+        Root mean square distance from a plane that a jump in the middle of `plane_cells` leaves, in jumps.
+    plane_cells : int, cells
+        Side of the square of cells that one plane describes on a surface, however steep: tests/truth/relief.py.
     """
 
     least_length_px: int = 48
     short_gaps: float = 3.0
     measured_share: float = 0.97
     jump_tolerances: float = 2.0
+    jump_residual: float = 0.25
+    plane_cells: int = 5
 
 
 WALL = WallParameters()
@@ -196,7 +203,8 @@ def smooth_surroundings(
     """
     size = 2 * _ANCHOR_REACH + 1
     near = highest(halved(silhouette.standing >= standing_frames) > 0, size + 2)
-    jumps = _ranges(_cell_medians(z_um, passed, near)) > WALL.jump_tolerances * tolerance_um
+    planes = local_planes(_cell_medians(z_um, passed, near), WALL.plane_cells)
+    jumps = planes.residual > WALL.jump_residual * WALL.jump_tolerances * tolerance_um
     measured_share = mean(_cell_means(passed.view(np.uint8), near.shape), size)
     return (measured_share >= WALL.measured_share) & ~highest(jumps, size)
 

@@ -1,0 +1,41 @@
+"""Planes of a sliding window: exact on a plane, whatever is missing; a jump leaves a quarter of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wafer_viewer.numerics.filters.local_planes import local_planes
+
+
+def test_a_plane_with_holes_is_found_exactly() -> None:
+    rows, cols = np.indices((40, 50))
+    z = (3.0 * rows - 4.0 * cols + 7.0).astype(np.float32)
+    z[np.random.default_rng(1).random(z.shape) < 0.3] = np.nan
+    found = local_planes(z, 9)
+    np.testing.assert_allclose(found.gradient, 5.0, atol=1e-4)
+    np.testing.assert_allclose(found.residual, 0.0, atol=2e-3)
+    np.testing.assert_allclose(found.explained, 1.0, atol=1e-5)
+
+
+def test_the_window_is_cut_off_at_the_border_and_counts_what_is_missing() -> None:
+    z = np.ones((20, 20))
+    z[:, 10] = np.nan
+    found = local_planes(z, 5)
+    np.testing.assert_allclose(found.coverage[:, 0], 1.0)
+    np.testing.assert_allclose(found.coverage[:, 10], 0.8)
+    np.testing.assert_allclose(found.coverage[0, 12], 0.8)
+
+
+def test_a_jump_leaves_a_quarter_of_itself_and_of_the_variance() -> None:
+    z = np.where(np.arange(80) < 40, 0.0, 10.0) * np.ones((60, 1))
+    found = local_planes(z, 21)
+    assert found.residual[30, 40] == pytest.approx(2.5, rel=0.05)
+    assert 1 - found.explained[30, 40] == pytest.approx(0.25, abs=0.02)
+
+
+def test_no_plane_goes_through_too_few_heights() -> None:
+    z = np.full((9, 9), np.nan)
+    assert not local_planes(z, 5).gradient.any()
+    z[4, 2:7] = np.arange(5)
+    assert not local_planes(z, 5).gradient.any()

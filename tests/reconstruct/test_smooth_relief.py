@@ -1,0 +1,24 @@
+"""Smooth steep relief without walls is kept, and cleaning does not flatten it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.truth.relief import drawn_relief
+from wafer_viewer.measure.truth_comparison import rmse
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [6, 9, 15])  # waves, rough ground with coarse texture, a plane along a diagonal
+def test_smooth_relief_is_no_wall_and_no_step(seed: int) -> None:
+    relief = drawn_relief(seed, 128)
+    height = reconstruct(relief.stack, threads=1)
+    kept = np.isfinite(height.z_raw_um)
+    assert kept.mean() > 0.95
+    assert np.isin(height.origin, (Origin.BLEEDING_EDGE, Origin.STEP_EDGE)).mean() < 0.01
+    raw, cleaned = (rmse((z_um - relief.truth_um)[kept]) for z_um in (height.z_raw_um, height.z_um))
+    assert cleaned <= 1.02 * raw
+    assert raw < 0.15 * relief.step_um
