@@ -163,6 +163,21 @@ def test_a_torn_frame_is_left_out_and_named(sound: FieldStack, k: int, other: in
     assert note.startswith(f"Frame {k + 1} of {N_FRAMES} of field 1 is torn")
 
 
+def test_a_blank_frame_with_noise_is_found_beside_a_black_one(sound: FieldStack):
+    noise = np.random.default_rng(1).normal(0, 3, SHAPE)
+    stack = with_frame(with_frame(sound, 9, 0.0), 20, 110.0 + noise)
+    dark, blank = reported(stack)
+    assert dark.startswith("Frame 10")
+    assert blank.startswith("Frame 21")
+    assert "shows nothing" in blank
+
+
+@pytest.mark.parametrize(("k", "other"), [(11, 12), (12, 14), (17, 15), (14, 17), (20, 3), (1, 32)])
+def test_rows_of_another_frame_are_found_and_no_other_frame_is_named(sound: FieldStack, k: int, other: int):
+    (note,) = reported(torn(sound, k, other))
+    assert note.startswith(f"Frame {k + 1} of")
+
+
 @pytest.mark.parametrize("k", [5, 12, 17])
 def test_a_frame_whose_rows_slipped_is_left_out(sound: FieldStack, k: int):
     images = sound.images.copy()

@@ -173,7 +173,7 @@ def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
 
 @dataclass(frozen=True, slots=True)
 class CurvatureParameters:
-    """When smoothing has flattened a map, and how often what it removed is added again: tests/truth/relief.py.
+    """Limits from which flattened curvature is added again, and how often: tests/truth/relief.py.
 
     Parameters
     ----------
@@ -209,13 +209,14 @@ def _with_curvature(z_um: Map, smoothed: Map, levy: Levy, resolution_um: float) 
         removed[np.abs(removed) > int(levy.iterations) * limit_um] = np.nan  # no round of averages moves more
         for _ in range(int(levy.iterations)):
             removed = pair_mean(removed, limit_um)
-        removed = np.nan_to_num(removed, copy=False)
+        removed[np.isnan(removed)] = 0
         if share is None:
             energy = mean_of_valid(removed**2, valid, CURVATURE.window_px)
-            share = np.clip(energy / np.float32(max(limit, _LEAST_ENERGY_UM2)) - 1, 0, 1)
+            excess = energy / np.float32(max(limit, _LEAST_ENERGY_UM2)) - np.float32(1)
+            share = np.clip(excess, np.float32(0), np.float32(1))
             if not share.any():
                 return smoothed
-        smoothed = smoothed + share * removed
+        smoothed = np.asarray(smoothed + share * removed, np.float32)
     return smoothed
 
 

@@ -207,7 +207,10 @@ class FaultParameters:
     least_clipped : float
         Minimum fraction of pixels that a flash clips in addition to the frames on both sides.
     dead_share : float
-        A blank frame has less than this fraction of the lowest focus energy of the others.
+        A blank frame has less than this fraction of the lowest coarse energy of the other lit frames, or of the lower
+        coarse contrast of both neighbours.
+    coarse_px : int, px
+        Pixels of a row that are averaged for the coarse energy: defocus and noise leave little of a finer pattern.
     least_jump : float
         Minimum ratio of the change into and out of a flash to the change before and after.
     sharper : float
@@ -230,6 +233,7 @@ class FaultParameters:
     least_sigmas: float = 8.0
     least_clipped: float = 0.5
     dead_share: float = 0.25
+    coarse_px: int = 8
     least_jump: float = 2.0
     sharper: float = 1.3
     most_faulty: float = 0.2
@@ -245,11 +249,15 @@ Stats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameStats:
-    """Statistics of each frame, [k]: mean grey, clipped fraction, and focus energy (mean squared gradient)."""
+    """Statistics of each frame, [k]: mean grey, clipped fraction, and focus energy (mean squared gradient).
+
+    coarse: the same energy of the means of several pixels of a row.
+    """
 
     grey: Stats
     clipped: Stats
     energy: Stats
+    coarse: Stats
 
     @classmethod
     def of(cls, found: Sequence[FaultStats]) -> FrameStats:
@@ -257,15 +265,22 @@ class FrameStats:
         return cls(*np.array(found, np.float64).T)
 
 
-FaultStats = tuple[float, float, float]
-"""Mean grey, clipped fraction and focus energy of a frame."""
+FaultStats = tuple[float, float, float, float]
+"""Mean grey, clipped fraction, focus energy and coarse energy of a frame."""
 
 
 def fault_stats(frame: Image, clipped_counts: int) -> FaultStats:
     """Measure a frame on a few rows."""
-    rows = frame[:: max(1, len(frame) // FAULT.rows)]
-    slope = np.diff(rows.astype(np.float32), axis=1)
-    return float(rows.mean()), float(np.mean(rows >= clipped_counts)), float(np.vdot(slope, slope)) / max(1, slope.size)
+    rows, wide = frame[:: max(1, len(frame) // FAULT.rows)], FAULT.coarse_px
+    grey = rows.astype(np.float32)
+    cells = grey[:, : grey.shape[1] // wide * wide].reshape(len(grey), -1, wide).mean(axis=2)
+    clipped = float(np.mean(rows >= clipped_counts))
+    return float(rows.mean()), clipped, _gradient_energy(grey), _gradient_energy(cells)
+
+
+def _gradient_energy(rows: NDArray[np.float32]) -> float:
+    slope = np.diff(rows, axis=1)
+    return float(np.vdot(slope, slope)) / max(1, slope.size)
 
 
 def faulty_frames(
@@ -275,7 +290,7 @@ def faulty_frames(
 
     Parameters
     ----------
-    exposures : Sequence[Sequence[tuple[float, float, float]]]
+    exposures : Sequence[Sequence[tuple[float, float, float, float]]]
         Statistics of the slots in all exposures; a slot is faulty when it is in one of them.
     slots : ndarray of int, [k]
         The slots in the order of z.
@@ -310,7 +325,9 @@ def _faults(stats: FrameStats, white_counts: int) -> Iterator[tuple[int, str]]:
     clips = _nearer(*(stats.clipped - side for side in _sides(stats.clipped))) > FAULT.least_clipped
     black = (off < -limit) & (log < np.percentile(log, 10) - np.log(FAULT.least_ratio))
     lit = _abrupt(flash | clips | black, log)
-    blank = _is_blank(stats.energy)
+    blank, fine = (_is_blank(np.where(lit, np.inf, energy)) for energy in (stats.coarse, stats.energy))
+    blank[[0, -1]] &= fine[[0, -1]]  # the frames furthest from focus
+    blank |= _dips(np.where(lit, np.inf, (stats.coarse + FAULT.least_energy) / np.exp(2 * log)))
     sides = np.exp((below + above) / 2) - dark
     for k in np.flatnonzero(lit | blank).tolist():
         greys = f"mean grey {stats.grey[k]:.3g} against {sides[k]:.3g} of {white_counts}"
@@ -351,8 +368,16 @@ def _nearer(one: Stats, other: Stats) -> Stats:
     return np.where(one * other > 0, least, 0.0)
 
 
+def _dips(contrast: Stats) -> NDArray[np.bool_]:
+    """Return a mask of the frames with far less coarse contrast than both neighbours, which a focus cannot have."""
+    dips = np.zeros(len(contrast), np.bool_)
+    least = np.minimum(contrast[:-2], contrast[2:])
+    dips[1:-1] = (contrast[1:-1] < FAULT.dead_share * least) & np.isfinite(least)
+    return dips
+
+
 def _is_blank(energy: Stats) -> NDArray[np.bool_]:
-    """Return a mask of a frame with far less focus energy than any other, even out of focus."""
+    """Return a mask of a frame with far less energy than any other, even out of focus."""
     least, next_least = np.partition(energy, 1)[:2]
     if least >= FAULT.dead_share * next_least or next_least <= FAULT.least_energy:
         return np.zeros(len(energy), np.bool_)

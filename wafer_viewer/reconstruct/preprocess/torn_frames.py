@@ -3,12 +3,12 @@
 Cameras and drivers that lose packets or overwrite a buffer while it is read deliver frames of which a band of rows is
 stale, early or shifted. Between neighbouring frames a sound image changes less than between the two frames beside it,
 unless it is sharper than both, at its focus. A band that differs far more, while the other bands of the frame do not,
-is torn when it is no sharper than the same rows beside it, or when it looks like another frame.
+is torn when it is no sharper than the same rows beside it, or when it looks like another frame. Rows that equal those
+of another frame to the last count are stale, because no two frames have the same noise.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -48,7 +48,7 @@ class TearParameters:
     least_share_of_white : float
         Smallest root mean square difference, as a fraction of white.
     most_stale : int
-        Largest number of frames that share bands with a neighbour; more are a stack without noise.
+        Largest number of pairs of frames that share bands; more are a stack without noise.
     most_torn : float
         Largest fraction of torn frames; with more, the differences are the sample's.
     dark : float
@@ -89,31 +89,14 @@ def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: i
 
 
 def _torn(raw: Greys, white_counts: int) -> list[tuple[int, float]]:
-    """Return the index along z and the torn fraction of each torn frame.
-
-    raw: sampled bands, [k, band, row, col]. Frame by frame, so that a frame and the two before it stay in cache.
-    """
+    """Return the index along z and the torn fraction of each torn frame; raw: sampled bands, [k, band, row, col]."""
     level = np.stack([frame.astype(np.float32).mean(axis=(1, 2), keepdims=True) for frame in raw])
     bands = _Bands(raw, level, level.mean() / np.maximum(level, 1.0))
-    off, across = np.empty((len(raw) - 1, raw.shape[1]), np.float32), np.empty((len(raw) - 2, raw.shape[1]), np.float32)
-    before, last = bands[0], bands[1]
-    off[0] = _mean_square(last, before)
-    for k in range(2, len(raw)):
-        frame = bands[k]
-        off[k - 1], across[k - 2] = _mean_square(frame, last), _mean_square(frame, before)
-        before, last = last, frame
-    least = (TEAR.least_share_of_white * white_counts) ** 2
-    own = np.minimum(off[1:], off[:-1])
-    ratio = own / np.maximum(across, 1e-6)
-    suspect = (ratio > TEAR.least_ratio) & (own > least)
-    suspect[level[1:-1].mean(axis=(1, 2, 3)) < TEAR.dark * level.mean()] = False
-    found = _stale(raw)
-    for k in np.flatnonzero(suspect.any(axis=1)):
-        torn = [b for b in np.flatnonzero(suspect[k]) if _is_torn(bands, int(b), int(k) + 1, own[k, b])]
-        clear = len(torn) >= TEAR.enough_bands or bool(np.any(ratio[k, torn] > TEAR.clear_ratio))
-        whole = np.delete(ratio[k], torn)
-        if clear and whole.size and np.median(whole) <= TEAR.whole_ratio:
-            found[int(k) + 1] = len(torn) / raw.shape[1]
+    found = _stale(bands)
+    others = np.delete(np.arange(len(raw)), list(found))
+    if len(others) >= LEAST_FRAMES:
+        lit = level[others].mean(axis=(1, 2, 3)) >= TEAR.dark * level.mean()
+        found |= {int(others[k]): share for k, share in _unlike(bands.of_frames(others), lit, white_counts).items()}
     return sorted(found.items())
 
 
@@ -125,6 +108,9 @@ class _Bands:
     level: Floats
     factor: Floats
 
+    def __len__(self) -> int:
+        return len(self.raw)
+
     def __getitem__(self, k: int) -> Floats:
         return (self.raw[k].astype(np.float32) - self.level[k]) * self.factor[k]
 
@@ -132,34 +118,72 @@ class _Bands:
         """Return one band of all frames, [k, row, col]."""
         return (self.raw[:, band].astype(np.float32) - self.level[:, band]) * self.factor[:, band]
 
+    def of_frames(self, frames: NDArray[np.intp]) -> _Bands:
+        """Return the bands of some frames."""
+        return self if len(frames) == len(self) else _Bands(self.raw[frames], self.level[frames], self.factor[frames])
 
-def _stale(raw: Greys) -> dict[int, float]:
-    """Return the torn fraction of frames that share some bands, to the last count, with a frame beside them.
 
-    Noise makes that impossible, so a stack without noise is not tested. The frame with the larger jump to its other
-    neighbour is the stale one.
+def _unlike(bands: _Bands, lit: NDArray[np.bool_], white_counts: int) -> dict[int, float]:
+    """Return the torn fraction of frames of which some bands alone differ from the frames beside them.
+
+    Frame by frame, so that a frame and the two before it stay in cache.
     """
-    same = np.array([(one == other).all(axis=(1, 2)) for one, other in itertools.pairwise(raw)])
-    for k in np.flatnonzero(same.any(axis=1)):
-        same[k] &= raw[k + 1].astype(np.float32).std(axis=(1, 2)) > 1
-    pairs = np.flatnonzero(same.any(axis=1) & ~same.all(axis=1))
-    if len(pairs) > TEAR.most_stale or len(pairs) < np.count_nonzero(same.any(axis=1)):
-        return {}
+    n_frames, n_bands = bands.raw.shape[:2]
+    off, across = np.empty((n_frames - 1, n_bands), np.float32), np.empty((n_frames - 2, n_bands), np.float32)
+    before, last = bands[0], bands[1]
+    off[0] = _mean_square(last, before)
+    for k in range(2, n_frames):
+        frame = bands[k]
+        off[k - 1], across[k - 2] = _mean_square(frame, last), _mean_square(frame, before)
+        before, last = last, frame
+    own = np.minimum(off[1:], off[:-1])
+    ratio = own / np.maximum(across, 1e-6)
+    suspect = (ratio > TEAR.least_ratio) & (own > (TEAR.least_share_of_white * white_counts) ** 2)
+    suspect &= lit[1:-1, None]
     found: dict[int, float] = {}
-    for k in pairs.tolist():
-        before, after = (
-            _jump(raw[:, same[k]].astype(np.float32), near, far) for near, far in ((k, k - 1), (k + 1, k + 2))
-        )
-        found[k if before > after else k + 1] = float(same[k].mean())
+    for k in np.flatnonzero(suspect.any(axis=1)):
+        torn = [b for b in np.flatnonzero(suspect[k]) if _is_torn(bands, int(b), int(k) + 1, own[k, b])]
+        clear = len(torn) >= TEAR.enough_bands or bool(np.any(ratio[k, torn] > TEAR.clear_ratio))
+        whole = np.delete(ratio[k], torn)
+        if clear and whole.size and np.median(whole) <= TEAR.whole_ratio:
+            found[int(k) + 1] = len(torn) / n_bands
     return found
 
 
-def _jump(raw: Floats, near: int, far: int) -> float:
-    """Return the difference between two frames relative to that of the next two further on."""
-    beyond = 2 * far - near
-    if not (0 <= far < len(raw) and 0 <= beyond < len(raw)):
-        return 1.0
-    return float(np.mean((raw[near] - raw[far]) ** 2) / max(1e-6, np.mean((raw[far] - raw[beyond]) ** 2)))
+def _stale(bands: _Bands) -> dict[int, float]:
+    """Return the torn fraction of frames that share some bands, to the last count, with another frame.
+
+    Noise makes that impossible, so a stack without noise is not tested. Of the two frames the one is stale to which the
+    bands fit worse.
+    """
+    shared: dict[tuple[int, int], list[int]] = {}
+    n_bands = bands.raw.shape[1]
+    for b in range(n_bands):
+        seen: dict[bytes, int] = {}
+        for k, band in enumerate(bands.raw[:, b]):
+            first = seen.setdefault(band.tobytes(), k)
+            if first != k and band.std() > 1:
+                shared.setdefault((first, k), []).append(b)
+    if len(shared) > TEAR.most_stale or any(len(alike) == n_bands for alike in shared.values()):
+        return {}
+    found: dict[int, float] = {}
+    for (one, other), alike in shared.items():
+        worse = _misfit(bands, alike, one, other) > _misfit(bands, alike, other, one)
+        found[one if worse else other] = len(alike) / n_bands
+    return found
+
+
+def _misfit(bands: _Bands, alike: list[int], k: int, twin: int) -> float:
+    """Return how much bands of a frame differ from the frame beside it, relative to the next two further on.
+
+    twin: the frame with the same bands, which does not count; the better of both sides is taken.
+    """
+    sides = [(k + d, k + 2 * d) for d in (-1, 1) if 0 <= k + 2 * d < len(bands) and twin not in (k + d, k + 2 * d)]
+    return min((_change(bands, alike, k, i) / max(1e-6, _change(bands, alike, i, j)) for i, j in sides), default=1.0)
+
+
+def _change(bands: _Bands, alike: list[int], one: int, other: int) -> float:
+    return float(np.sum((bands[one][alike] - bands[other][alike]) ** 2))
 
 
 def _is_torn(bands: _Bands, b: int, k: int, off: float) -> bool:
