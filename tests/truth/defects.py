@@ -101,7 +101,7 @@ def _laid(plan: Plan, scene: Scene) -> tuple[HeightMap, Floats]:
             full.setdefault(name, np.empty(plan.shape, layer.dtype))[rows, cols] = layer[inner]
     x0_um, y0_um = first_um(plan)
     assert one is not None
-    return dataclasses.replace(one, **full, x0_um=x0_um, y0_um=y0_um), truth
+    return dataclasses.replace(one, **full, u_um=None, x0_um=x0_um, y0_um=y0_um), truth
 
 
 def first_um(plan: Plan) -> tuple[float, float]:

@@ -12,9 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.gaussian import fast_length
-from wafer_viewer.numerics.jit import Bools, Float32s
-
 _STEEPEST = 3.0
 """Contrast saturates at about three times its typical value, so that one bright spot does not dominate the overlap."""
 
@@ -37,7 +34,7 @@ class Likeness:
     sigmas: NDArray[np.float64]
 
 
-def contrast(picture: Float32s, valid: Bools, size: int) -> Float32s:
+def contrast(picture: NDArray[np.float32], valid: NDArray[np.bool_], size: int) -> NDArray[np.float32]:
     """Return the picture minus its local mean of size x size pixels, with saturated contrast; 0 where unknown.
 
     Invariant, except for scale, to uniform or slowly varying changes of brightness.
@@ -47,12 +44,17 @@ def contrast(picture: Float32s, valid: Bools, size: int) -> Float32s:
     local = mean(picture, size) if valid.all() else mean_of_valid(picture, valid, size)
     detail = np.where(valid, picture - local, np.float32(0))
     usual = _STEEPEST * float(np.median(np.abs(detail[valid][::3]))) if valid.any() else 0.0
-    held: Float32s = np.sqrt(1 + (detail / np.float32(usual)) ** 2) if usual > 0 else np.ones_like(detail)
+    held: NDArray[np.float32] = np.sqrt(1 + (detail / np.float32(usual)) ** 2) if usual > 0 else np.ones_like(detail)
     return np.asarray(detail / held, np.float32)
 
 
 def normalised_cross_correlation(
-    first: Float32s, first_valid: Bools, second: Float32s, second_valid: Bools, lag: tuple[int, int], reach: int
+    first: NDArray[np.float32],
+    first_valid: NDArray[np.bool_],
+    second: NDArray[np.float32],
+    second_valid: NDArray[np.bool_],
+    lag: tuple[int, int],
+    reach: int,
 ) -> Likeness:
     """Correlate two contrast images at all lags within `reach` of a lag (rows, cols).
 
@@ -85,11 +87,11 @@ def _transform_shape(
     return rows, cols
 
 
-def _moments(picture: Float32s, valid: Bools) -> Float32s:
+def _moments(picture: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.stack([picture, picture * picture, valid.astype(np.float32)])
 
 
-def _correlated_pixels(common: Float32s, first: Float32s, second: Float32s) -> float:
+def _correlated_pixels(common: NDArray[np.float32], first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Return the number of pixels equivalent to one independent pixel, after Bartlett.
 
     It is the sum of the product of both autocorrelations, which equals the mean square of the correlation over all
@@ -119,6 +121,13 @@ def autocorrelation(z: Floats) -> Floats:
     )
     middle = float(products[reach]) / n_valid
     return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_valid)
+
+
+def fast_length(n: int) -> int:
+    """Return the smallest length of at least n for which a real Fourier transform is fast."""
+    from scipy.fft import next_fast_len
+
+    return next_fast_len(n, real=True) or n
 
 
 def lagged_products(plane: Floats, reach: tuple[int, int]) -> Floats:

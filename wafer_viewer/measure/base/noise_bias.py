@@ -16,8 +16,7 @@ import numpy as np
 from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER
 from wafer_viewer.measure.base.error_covariance import area_correlation
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.numerics.filters.gaussian import fast_length
-from wafer_viewer.numerics.filters.interpolation import polynomial
+from wafer_viewer.numerics.correlation import fast_length
 from wafer_viewer.numerics.normal_statistics import student
 
 REPEATS = 8
@@ -107,6 +106,8 @@ def scatter_covariance(z_um: Floats) -> Floats | None:
 
     It is an upper bound of the noise: texture of the face is in it too.
     """
+    from wafer_viewer.numerics.filters.interpolation import polynomial
+
     form = polynomial(z_um, FORM_ORDER)
     if form is None:
         return None

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.numerics.correlation import fast_length
 from wafer_viewer.numerics.jit import Float32s, fast_kernel
 
 
@@ -96,13 +97,6 @@ def weighting(cutoff_px: float) -> Floats:
     places = np.arange(-_reach_px(cutoff_px), _reach_px(cutoff_px) + 1)
     weights = np.exp(-np.pi * (places / (ALPHA * cutoff_px)) ** 2)
     return weights / weights.sum()
-
-
-def fast_length(n: int) -> int:
-    """Return the smallest length of at least n for which a real Fourier transform is fast."""
-    from scipy.fft import next_fast_len
-
-    return next_fast_len(n, real=True) or n
 
 
 def _along(plane: Floats, axis: int, cutoff_px: float) -> Floats:
