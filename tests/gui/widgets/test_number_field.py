@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 from tests.support.paths import PACKAGE
-from wafer_viewer.gui.widgets.number_field import number_of, pair_of, pair_text, text_of
+from wafer_viewer.gui.widgets.number_field import EMPTY, number_of, pair_of, pair_text, text_of
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.measurement.measuring_tool import NumberControl
+from wafer_viewer.model.measurement.tools import TOOLS
 
 GUI = PACKAGE / "gui"
 
@@ -78,3 +80,8 @@ def test_no_hint_says_that_zero_stands_for_nothing():
         if any(word in line for word in ("0: not", "0: no ", "0: none", "0: a ", "0: four"))
     ]
     assert text == []
+
+
+def test_every_option_of_a_tool_says_what_happens_when_it_is_empty() -> None:
+    controls = [control for tool in TOOLS.values() for control in tool.controls]
+    assert {control.label for control in controls if isinstance(control, NumberControl)} <= set(EMPTY)

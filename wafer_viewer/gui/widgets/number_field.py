@@ -43,6 +43,7 @@ EMPTY: dict[str, str] = {
     "Exposure, µs": "found by itself",
     "Reason": NOT_GIVEN,
     **dict.fromkeys(("Repeats s, µm", "Drift u, µm", "Sample, °C"), NOT_KNOWN),
+    "Noise, µm": "not known: no U",
     **dict.fromkeys(("S-filter, µm", "L-filter, µm", "λc, µm", "λs, µm"), NO_FILTER),
     "Chip over, µm": "4 σ of the edge",
     "Site width, µm": "a quarter",
