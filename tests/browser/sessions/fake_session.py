@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,11 +28,13 @@ from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve, S
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.acquisition.live_controller import LiveController, LiveLook
 from wafer_viewer.session.files.file_browser import Browsing
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import (
     DatasetEntry,
@@ -103,8 +104,8 @@ class FakeSession(Recording):
     ) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)
 
-    def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
-        return SimpleNamespace(z_um=21.86, confidence=0.94, origin=0)
+    def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
+        return ReadOut(21.86, 0.94, Origin.MEASURED, 0.12)
 
     def poses(self) -> Poses | None:
         return THE_POSES if self.snapshot.surface is not None else None
