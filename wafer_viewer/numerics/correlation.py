@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.numerics.fourier import fast_length
+
 _STEEPEST = 3.0
 """Contrast saturates at about three times its typical value, so that one bright spot does not dominate the overlap."""
 
@@ -121,13 +123,6 @@ def autocorrelation(z: Floats) -> Floats:
     )
     middle = float(products[reach]) / n_valid
     return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_valid)
-
-
-def fast_length(n: int) -> int:
-    """Return the smallest length of at least n for which a real Fourier transform is fast."""
-    from scipy.fft import next_fast_len
-
-    return next_fast_len(n, real=True) or n
 
 
 def lagged_products(plane: Floats, reach: tuple[int, int]) -> Floats:

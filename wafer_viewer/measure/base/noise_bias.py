@@ -16,7 +16,7 @@ import numpy as np
 from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER
 from wafer_viewer.measure.base.error_covariance import area_correlation
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.numerics.correlation import fast_length
+from wafer_viewer.numerics.fourier import fast_length
 from wafer_viewer.numerics.normal_statistics import student
 
 REPEATS = 8

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.correlation import fast_length
+from wafer_viewer.numerics.fourier import fast_length
 from wafer_viewer.numerics.jit import Float32s, fast_kernel
 
 
