@@ -123,7 +123,7 @@ def _means(rows: Floats, pieces: int, length: int) -> Floats:
 TILES = 16
 """Tiles along each side of a region."""
 MIN_FILL = 0.25
-"""Smallest number of points of a tile that is used, relative to the median tile."""
+"""Smallest number of points of a tile or cell that is used, relative to the median one."""
 Labels = NDArray[np.intp]
 
 
@@ -168,8 +168,13 @@ class Tiles:
     @property
     def means(self) -> Floats:
         """Column means of each sufficiently filled tile, [tile, c]."""
-        full = self.count >= max(1.0, MIN_FILL * float(np.median(self.count[self.count > 0])))
+        full = well_filled(self.count)
         return self.sums[full] / self.count[full][:, None]
+
+
+def well_filled(count: NDArray[np.integer] | Floats) -> NDArray[np.bool_]:
+    """Return the mask of the tiles or cells that hold enough points for their means to count."""
+    return count >= max(1.0, MIN_FILL * float(np.median(count[count > 0])))
 
 
 def tile_means(points: HeightSamples, residuals: Floats, side: int) -> tuple[HeightSamples, Floats]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER, Scatter
+from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER, Scatter, well_filled
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, height_window
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_fit import fit_plane
@@ -31,8 +31,6 @@ from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 CELLS = 256
 """Largest number of cells along a side of the lattice; larger areas are averaged over blocks of pixels."""
-MIN_FILL = 0.25
-"""Smallest number of points of a cell that is used, relative to the median cell."""
 LOST_CORRELATION = 0.05
 """Correlation of an area's errors, as a mean over a distance, below which it is lost in its own scatter."""
 ENOUGH = 40.0
@@ -76,10 +74,8 @@ class WeightedHeights:
     @classmethod
     def of_fit(cls, points: HeightSamples, design: Floats, gradient: Floats) -> WeightedHeights:
         """Return the sum that is gradient [p] times the least-squares parameters of design [n, p]."""
-        scale = np.sqrt(np.mean(design**2, axis=0))
-        scaled = design / (scale := np.where(scale > 0, scale, 1.0))
-        inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-        return cls.of(points, scaled @ (inverse @ (gradient / scale)))
+        weights, scale = fit_weights(design)
+        return cls.of(points, weights @ (gradient / scale))
 
     @classmethod
     def joined(cls, sums: Iterable[WeightedHeights]) -> WeightedHeights:
@@ -90,6 +86,13 @@ class WeightedHeights:
     def times(self, factor: float) -> WeightedHeights:
         """Return the sum times a factor."""
         return dataclasses.replace(self, weight=factor * self.weight)
+
+
+def fit_weights(design: Floats) -> tuple[Floats, Floats]:
+    """Return the weights [n, p] of heights in each parameter of a fit of design [n, p], times a scale [p], and that."""
+    scale = np.sqrt(np.mean(design**2, axis=0))
+    scaled = design / (scale := np.where(scale > 0, scale, 1.0))
+    return scaled @ np.linalg.pinv(scaled.T @ scaled, hermitian=True), scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +116,7 @@ class ErrorCovariance:
         side_um = max(float(np.ptp(points.x_um)), float(np.ptp(points.y_um)))
         cell_um = pixel_um * max(1, math.ceil((side_um / pixel_um + 1) / CELLS))
         count, sums = _binned(points.x_um, points.y_um, residuals_um, cell_um)
-        full = count >= max(1.0, MIN_FILL * float(np.median(count[count > 0])))
+        full = well_filled(count)
         grid = np.divide(sums, count, out=np.full(sums.shape, np.nan), where=full)
         variance = float(np.nanmean(grid**2))
         if variance == 0:
@@ -134,21 +137,36 @@ class ErrorCovariance:
 
     def scatter(self, heights: WeightedHeights) -> Scatter:
         """Return the uncertainty of a weighted sum of heights."""
-        variance = max(0.0, self._variance(heights)) * (self.freedom + self.n_parameters) / self.freedom
-        return Scatter((1.0 if self.resolved else UNRESOLVED) * math.sqrt(variance), self.freedom)
+        return self.scatter_of(self._variance(self._lattice(heights)))
+
+    def scatter_of(self, variance_um2: float) -> Scatter:
+        """Return the uncertainty of a sum of heights with a variance by this covariance."""
+        variance_um2 = max(0.0, variance_um2) * (self.freedom + self.n_parameters) / self.freedom
+        return Scatter((1.0 if self.resolved else UNRESOLVED) * math.sqrt(variance_um2), self.freedom)
+
+    def of_parameters(self, points: HeightSamples, design: Floats) -> Floats:
+        """Return the covariance [p, p] of the parameters of a fit of design [n, p] to points."""
+        weights, scale = fit_weights(design)
+        sums = [self._lattice(WeightedHeights.of(points, column)) for column in weights.T]
+        single = np.array([self._variance(one) for one in sums])
+        pairs = np.array([[self._variance(one + other) for other in sums] for one in sums])
+        return (pairs - single[:, None] - single) / 2 / np.outer(scale, scale)
 
     def covering(self, points: HeightSamples, design: Floats, residuals_um: Floats) -> ErrorCovariance:
         """Return this covariance, larger where the residuals [n] of a fit of `design` [n, p] are clearly noisier."""
         basis, _ = np.linalg.qr(design)
-        taken = sum(self._variance(WeightedHeights.of(points, column)) for column in basis.T)
+        taken = sum(self._variance(self._lattice(WeightedHeights.of(points, column))) for column in basis.T)
         expected = self.variance_um2 - taken / len(points)
         found = float(np.mean(residuals_um**2))
         if expected <= 0 or found <= LIKE_ITSELF * expected:
             return self
         return dataclasses.replace(self, covariance=found / expected * self.covariance)
 
-    def _variance(self, heights: WeightedHeights) -> float:
-        _, weights = _binned(heights.x_um, heights.y_um, heights.weight, self.cell_um)
+    def _lattice(self, heights: WeightedHeights) -> Floats:
+        """Return the sums of weights on the lattice of the covariance, [row, col]."""
+        return _binned(heights.x_um, heights.y_um, heights.weight, self.cell_um)[1]
+
+    def _variance(self, weights: Floats) -> float:
         down, across = (min(n // 2, m - 1) for n, m in zip(self.covariance.shape, weights.shape, strict=True))
         middle = [n // 2 for n in self.covariance.shape]
         near = self.covariance[middle[0] - down : middle[0] + down + 1, middle[1] - across : middle[1] + across + 1]

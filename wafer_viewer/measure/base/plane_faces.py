@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from wafer_viewer.measure.base.correlated_errors import Labels, Scatter
 from wafer_viewer.measure.base.error_covariance import (
     UNRESOLVED_NOTE,
     ErrorCovariance,
-    WeightedHeights,
     errors_of,
     side_by_side,
 )
@@ -66,8 +66,12 @@ class Face:
 
     def scatter(self, gradient: Floats) -> Scatter:
         """Return the uncertainty of gradient [3] times the parameters."""
-        whole = WeightedHeights.of_fit(self.points, self.design, gradient)
-        return self.errors.scatter(WeightedHeights.of(side_by_side(self.parts), whole.weight))
+        return self.errors.scatter_of(float(gradient @ self._covariance @ gradient))
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        """Covariance [3, 3] of the parameters; a step asks for the uncertainty of ten gradients."""
+        return self.errors.of_parameters(side_by_side(self.parts), self.design)
 
     @property
     def notes(self) -> tuple[str, ...]:

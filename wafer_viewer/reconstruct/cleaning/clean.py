@@ -298,7 +298,7 @@ def clean(
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
     raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
     if side_is_known is not None:
-        step_edge = _step_edges(raw, bleeding_um, pixel_um, recipe, resolution_um) & ~side_is_known
+        step_edge = _step_edges(raw, side_is_known, bleeding_um, pixel_um, recipe, resolution_um)
         raw[step_edge] = np.nan
         if step_edge.any():
             outlier |= _leftovers(raw, recipe, resolution_um) & ~side_is_known
@@ -308,12 +308,12 @@ def clean(
 
 
 def _step_edges(
-    z_um: Map, bleeding_um: Map | None, pixel_um: float, recipe: Recipe, resolution_um: float
-) -> NDArray[np.bool_]:
-    """Return a mask of heights with another surface within about half a window."""
+    z_um: Map, side_is_known: Found, bleeding_um: Map | None, pixel_um: float, recipe: Recipe, resolution_um: float
+) -> Found:
+    """Return a mask of heights with another surface within about half a window, where the side is not known."""
     edge_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
     limit_um = _jump_limit_um(recipe, pixel_um, resolution_um)
-    apart = (height_range_um(edge_um, int(recipe.window)) > limit_um) & np.isfinite(z_um)
+    apart = (height_range_um(edge_um, int(recipe.window)) > limit_um) & np.isfinite(z_um) & ~side_is_known
     return apart & ~_on_slope(edge_um, pixel_um, recipe, resolution_um) if apart.any() else apart
 
 

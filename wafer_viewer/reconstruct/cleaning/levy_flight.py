@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -58,9 +58,12 @@ def smooth(z_um: Map, levy: Levy, resolution_um: float) -> Map:
     resolution_um: axial resolution of the optics. A deviation below a twentieth of it is never an outlier, however
     quiet the map; a deviation above it always is, however much of the map is false.
     """
+    if levy.mode == "sigma_filter":
+        limit_um = _limit_um(height_noise_um(z_um), levy, resolution_um)
+        reference = _without_spikes(z_um, limit_um)
+        return _with_curvature(reference, list(islice(_averages(reference, limit_um), int(levy.iterations))), limit_um)
     rounds = islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), int(levy.iterations))
-    smoothed = deque(rounds, maxlen=1)[0].copy()
-    return _with_curvature(z_um, smoothed, levy, resolution_um) if levy.mode == "sigma_filter" else smoothed
+    return deque(rounds, maxlen=1)[0].copy()
 
 
 def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray[np.float32]:
@@ -166,9 +169,14 @@ def _limit_about_median(padded: Map, z_um: Map, levy: Levy, resolution_um: float
 def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     """Replace outliers along all lines by their median, then average each pixel with agreeing neighbours."""
     limit_um = _limit_um(height_noise_um(z_um), levy, resolution_um)
+    yield from _averages(_without_spikes(z_um, limit_um), limit_um)
+
+
+def _averages(z_um: Map, limit_um: float) -> Iterator[Map]:
+    """Yield the rounds of averages of a map without spikes."""
     while True:
-        z_um = pair_mean(_without_spikes(z_um, limit_um), limit_um)
-        yield z_um
+        yield (averaged := pair_mean(z_um, limit_um))
+        z_um = _without_spikes(averaged, limit_um)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,11 +202,9 @@ class CurvatureParameters:
 CURVATURE = CurvatureParameters()
 
 
-def _with_curvature(z_um: Map, smoothed: Map, levy: Levy, resolution_um: float) -> Map:
-    """Return a smoothed map with the crests and troughs that the averages have flattened."""
-    limit_um = _limit_um(height_noise_um(z_um), levy, resolution_um)
-    reference = _without_spikes(z_um, limit_um)
-    random = np.abs(reference - pair_mean(reference, limit_um))
+def _with_curvature(reference: Map, rounds: Sequence[Map], limit_um: float) -> Map:
+    """Return the last round of averages of `reference`, with the crests and troughs that the rounds have flattened."""
+    smoothed, random = rounds[-1], np.abs(reference - rounds[0])
     valid = np.isfinite(random)
     if not valid.any():
         return smoothed
@@ -206,8 +212,8 @@ def _with_curvature(z_um: Map, smoothed: Map, levy: Levy, resolution_um: float) 
     share: Map | None = None
     for _ in range(CURVATURE.passes):
         removed = reference - smoothed
-        removed[np.abs(removed) > int(levy.iterations) * limit_um] = np.nan  # no round of averages moves more
-        for _ in range(int(levy.iterations)):
+        removed[np.abs(removed) > len(rounds) * limit_um] = np.nan  # no round of averages moves more
+        for _ in rounds:
             removed = pair_mean(removed, limit_um)
         removed[np.isnan(removed)] = 0
         if share is None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import Focusing, StackSource, Volume
@@ -21,13 +22,17 @@ from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 _SIDE_PX, _FRAMES = 64, 12
 """Side of the simulated patch, and its frames for each strength of the texture."""
-_GREY = 2.0**15
-"""Mean grey of the simulated frames, of 16 bits."""
-_CAMERA = CameraNoise(gain_counts=0.01, floor_counts2=0.1)
-"""Their noise, with a deviation of 18 counts: coarse enough for integers, fine enough for a wide range of textures."""
-_DEVIATION = float(np.sqrt(_CAMERA.gain_counts * _GREY + _CAMERA.floor_counts2))
+_DEVIATION = {np.dtype(np.uint8): 1.5, np.dtype(np.uint16): 18.0}
+"""Standard deviation of their noise in counts: coarse enough for integers, fine enough for a wide range of textures.
+
+Frames are simulated in the type of those in use, for which the kernels of the measure are compiled anyway.
+"""
+_ROUNDING_COUNTS2 = 1 / 12
+"""Variance of the rounding to counts, a part of the noise."""
+_PEAK_SIGMAS = 5.0
+"""Range of the texture about the mean grey, in its standard deviations."""
 _STRENGTHS = (0.0, *(2.0**n for n in range(-2, 7)))
-"""Standard deviation of the texture over that of the noise, in increasing order; 0 first."""
+"""Standard deviation of the texture over that of the noise, in increasing order; 0 first. Few counts hold fewer."""
 _TAPS = (0.25, 0.5, 0.25)
 """Filter of the texture along each axis: about that of a lens whose limit is the spacing of the pixels."""
 _OCTAVES = 24
@@ -42,10 +47,10 @@ def level_noise(measure: str | None, window: int, camera: CameraNoise, dtype: np
     greys = np.arange(2.0 ** (8 * dtype.itemsize))
     if measure is None:
         return LevelNoise(np.full(1, np.nan, np.float32), np.zeros(greys.size, np.float32))
-    over, octaves, of_noise, degree = _simulated(measure, window)
+    over, octaves, of_noise, degree = _simulated(measure, window, dtype)
     table = np.exp2(_extended(np.arange(NOISE_STEPS * _OCTAVES) / NOISE_STEPS, over, np.log2(octaves)))
     variance = camera.gain_counts * greys + camera.floor_counts2
-    shift = 0.0 if focus_measures()[measure].uses_camera_noise else degree * np.log2(variance / _DEVIATION**2)
+    shift = 0.0 if focus_measures()[measure].uses_camera_noise else degree * np.log2(variance / _DEVIATION[dtype] ** 2)
     return LevelNoise(table.astype(np.float32), np.broadcast_to(of_noise + shift, greys.shape).astype(np.float32))
 
 
@@ -55,33 +60,38 @@ def _extended(at: NDArray[np.float64], over: NDArray[np.float64], log: NDArray[n
 
 
 @lru_cache(maxsize=64)
-def _simulated(measure: str, window: int) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+def _simulated(
+    measure: str, window: int, dtype: np.dtype[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
     """Return mean levels over that of noise, their standard deviations in octaves, log2 of the focus of noise, degree.
 
     The degree is that of the focus in the variance of the grey: 1 for energies.
     """
     rng, margin = np.random.default_rng(_SEED), focus_measures()[measure].margin_px(window)
-    side = _SIDE_PX + 2 * margin
+    side, deviation, grey = _SIDE_PX + 2 * margin, _DEVIATION[dtype], 2.0 ** (8 * dtype.itemsize - 1)
+    strengths = np.array([s for s in _STRENGTHS if _PEAK_SIGMAS * s * deviation <= grey])
     texture = rng.standard_normal((side, side))
     for axis in (0, 1):
         texture = convolve1d(texture, _TAPS, axis=axis)
-    texture *= _DEVIATION / texture.std()
-    noise = _DEVIATION * rng.standard_normal((len(_STRENGTHS), _FRAMES, side, side))
-    frames = _GREY + np.multiply.outer(_STRENGTHS, texture)[:, None] + noise
-    louder = _GREY + 2 * noise[:1]
-    levels = _log2_focus(measure, window, margin, np.concatenate([frames, louder]).reshape(-1, side, side))
-    levels = levels.reshape(len(_STRENGTHS) + 1, _FRAMES, -1)
-    mean, deviation = levels.mean(axis=(1, 2)), np.sqrt(levels.var(axis=1, ddof=1).mean(axis=1))
-    return mean[:-1] - mean[0], deviation[:-1], float(mean[0]), float(mean[-1] - mean[0]) / 2
+    texture *= deviation / texture.std()
+    noise = rng.standard_normal((len(strengths), _FRAMES, side, side))
+    once, twice = (np.sqrt((n * deviation) ** 2 - _ROUNDING_COUNTS2) for n in (1, 2))
+    frames = grey + np.multiply.outer(strengths, texture)[:, None] + once * noise
+    louder = grey + twice * noise[:1]
+    counts = np.concatenate([frames, louder]).round().clip(0, 2 * grey - 1).astype(dtype)
+    levels = _log2_focus(measure, window, margin, counts.reshape(-1, side, side), deviation**2)
+    levels = levels.reshape(len(strengths) + 1, _FRAMES, -1)
+    mean, scatter = levels.mean(axis=(1, 2)), np.sqrt(levels.var(axis=1, ddof=1).mean(axis=1))
+    return mean[:-1] - mean[0], scatter[:-1], float(mean[0]), float(mean[-1] - mean[0]) / 2
 
 
-def _log2_focus(measure: str, window: int, margin: int, frames: NDArray[np.float64]) -> NDArray[np.float64]:
+def _log2_focus(measure: str, window: int, margin: int, counts: Image, variance_counts2: float) -> NDArray[np.float64]:
     """Return log2 of the focus [k, row, col] within the margin of frames."""
-    kernels, grey, shape = focus_kernels(measure), frames.round().astype(np.uint16), (_SIDE_PX, _SIDE_PX)
-    source = StackSource.of(grey, np.arange(len(grey)), margin, margin, 65536)
-    levels, (best, peak, clipped) = np.empty((len(grey), *shape), np.uint16), np.empty((3, *shape), np.uint16)
+    kernels, shape, white = focus_kernels(measure), (_SIDE_PX, _SIDE_PX), 2 ** (8 * counts.dtype.itemsize)
+    source = StackSource.of(counts, np.arange(len(counts)), margin, margin, white)
+    levels, (best, peak, clipped) = np.empty((len(counts), *shape), np.uint16), np.empty((3, *shape), np.uint16)
     volume = Volume(levels, best, peak, clipped, np.empty((0, 0, 0), np.uint16))
-    rows = kernels.make_rows(_SIDE_PX, window, grey.dtype)
-    kernels.fill(source, Focusing(window, _CAMERA), rows, volume)
-    table = kernels.table(grey.dtype).astype(np.float64)
+    camera = CameraNoise(gain_counts=variance_counts2 / white, floor_counts2=variance_counts2 / 2)
+    kernels.fill(source, Focusing(window, camera), kernels.make_rows(_SIDE_PX, window, counts.dtype), volume)
+    table = kernels.table(counts.dtype).astype(np.float64)
     return (levels >> (table.size.bit_length() - 1)) + table[levels & (table.size - 1)]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -247,6 +248,15 @@ FAULT = FaultParameters()
 Stats = NDArray[np.float64]
 
 
+class FaultStats(NamedTuple):
+    """Mean grey, clipped fraction, focus energy and coarse energy of a frame."""
+
+    grey: float
+    clipped: float
+    energy: float
+    coarse: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameStats:
     """Statistics of each frame, [k]: mean grey, clipped fraction, and focus energy (mean squared gradient).
@@ -265,17 +275,13 @@ class FrameStats:
         return cls(*np.array(found, np.float64).T)
 
 
-FaultStats = tuple[float, float, float, float]
-"""Mean grey, clipped fraction, focus energy and coarse energy of a frame."""
-
-
 def fault_stats(frame: Image, clipped_counts: int) -> FaultStats:
     """Measure a frame on a few rows."""
     rows, wide = frame[:: max(1, len(frame) // FAULT.rows)], FAULT.coarse_px
     grey = rows.astype(np.float32)
     cells = grey[:, : grey.shape[1] // wide * wide].reshape(len(grey), -1, wide).mean(axis=2)
     clipped = float(np.mean(rows >= clipped_counts))
-    return float(rows.mean()), clipped, _gradient_energy(grey), _gradient_energy(cells)
+    return FaultStats(float(rows.mean()), clipped, _gradient_energy(grey), _gradient_energy(cells))
 
 
 def _gradient_energy(rows: NDArray[np.float32]) -> float:
@@ -290,7 +296,7 @@ def faulty_frames(
 
     Parameters
     ----------
-    exposures : Sequence[Sequence[tuple[float, float, float, float]]]
+    exposures : Sequence[Sequence[FaultStats]]
         Statistics of the slots in all exposures; a slot is faulty when it is in one of them.
     slots : ndarray of int, [k]
         The slots in the order of z.
