@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Form, HeightOffsets, Poses, RejectionReason, Shifts
+from wafer_viewer.model.surface.field_poses import (
+    DOUBT_TITLES,
+    Form,
+    HeightOffsets,
+    Poses,
+    RejectionReason,
+    Shifts,
+    no_candidates,
+)
 from wafer_viewer.session.state.snapshot import StitchingInfo
 
 STAGE_ERROR_UM, Z_ERROR_UM = 2.8, 1.0
@@ -89,6 +97,8 @@ def _shifts(pairs: np.ndarray, doubt: np.ndarray, believed: np.ndarray, rng: np.
         weight=believed.astype(np.float32),
         residual_x_um=off * rng.normal(0, 1, n),
         residual_y_um=off * rng.normal(0, 1, n),
+        covariance_um2=np.zeros(n),
+        candidates=no_candidates(n),
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import HeightOffsets, Numbers, RejectionReason, Shifts
+from wafer_viewer.model.surface.field_poses import HeightOffsets, Numbers, RejectionReason, Shifts, no_candidates
 
 PIXEL_UM = 0.46729
 FIELD_UM = (1440 * PIXEL_UM, 1080 * PIXEL_UM)
@@ -76,7 +76,8 @@ def shifts_of(
     u_um[is_blank], doubt[is_blank] = np.inf, RejectionReason.BLANK
     nothing, flat = np.zeros(e), np.zeros(e, np.float32)
     by = np.zeros(e, np.uint8)
-    return Shifts(first, second, *message.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing), true
+    told = (*message.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing, nothing)
+    return Shifts(first, second, *told, no_candidates(e)), true
 
 
 def seams_of(

@@ -6,8 +6,9 @@ kernel would bias a fit towards the middle between pixels, where noise is smooth
 The covariance comes from the scatter of the block gradients (the sandwich of P. J. Huber, 1967): noise shared by
 neighbouring pixels, or pictures that differ slightly, increase it as they should.
 
-Gauss-Newton on grey values (B. D. Lucas, T. Kanade, IJCAI 1981), block by block. Each block has its own brightness and
-contrast, so differences in illumination do not matter, and a weight by its quality of fit.
+Gauss-Newton on grey values (B. D. Lucas, T. Kanade, IJCAI 1981), block by block. Each block has its own contrast and
+brightness, which slopes along both axes, so differences in illumination do not matter, and a weight by its quality of
+fit.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ from wafer_viewer.numerics.jit import Float32s, Int64s, lean_kernel, lean_part
 
 REACH = 3
 """Half width of the interpolation kernel in pixels."""
-N_LINES = 5
-"""Number of quantities multiplied in pairs: 1, both values, slope down, slope right."""
-N_PRODUCTS = 15
+N_LINES = 6
+"""Number of quantities multiplied in pairs along a row: 1, row, both values, slope down, slope right."""
+N_PRODUCTS = 21
 """Number of different products of two of them."""
+N_SHADING = 3
+"""Number of terms of the brightness of a block: 1, row and column."""
 _SIGMA_PX = 0.85
 """Standard deviation of the Gaussian interpolation kernel, wide enough for equal noise at every position, px."""
 
@@ -47,16 +50,17 @@ def block_sums(
     lag: tuple[float, float],
     side: int,
 ) -> NDArray[np.float64]:
-    """Return the block sums of all products of (1, first, second, slope down, slope right).
+    """Return the block sums of all products of (1, row, col, first, second, slope down, slope right).
 
-    float64 [block row, block col, 5, 5], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
-    with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Pixels
-    unknown in either (valid: 1 or 0) and a rim of 3 do not count. Empty without common pixels.
+    float64 [block row, block col, 7, 7], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
+    with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Rows and
+    columns are counted from the middle of a block, in its sides. Pixels unknown in either (valid: 1 or 0) and a rim of
+    3 do not count. Empty without common pixels.
     """
     spans = [_span(a, b, n) for a, b, n in zip(first.shape, second.shape, lag, strict=True)]
     n_rows, n_cols = (stop - start for start, stop, _ in spans)
     if n_rows <= 0 or n_cols <= 0:
-        return np.zeros((0, 0, N_LINES, N_LINES))
+        return np.zeros((0, 0, N_LINES + 1, N_LINES + 1))
     corner = np.array([spans[0][0], spans[1][0], spans[0][0] - spans[0][2], spans[1][0] - spans[1][2]], np.int64)
     parts = [round(n) - n for n in lag]
     weights = np.stack([taps(0.0), taps(parts[0]), taps(parts[1])])
@@ -64,7 +68,7 @@ def block_sums(
     sums = np.zeros((n_bands, N_PRODUCTS, n_cols), np.float32)
     lines = np.zeros((N_LINES + 2, n_cols + 2 * REACH), np.float32)
     _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
-    return _square(np.add.reduceat(sums, _starts(n_cols, side), axis=2, dtype=np.float64))
+    return _with_columns(sums, max(1, n_cols // side))
 
 
 def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
@@ -73,17 +77,20 @@ def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
     return max(0, nearest) + REACH, min(first, nearest + second) - REACH, nearest
 
 
-def _starts(n: int, side: int) -> NDArray[np.intp]:
-    """Return the start indices of blocks of about `side` pixels."""
-    n_blocks = max(1, n // side)
-    return np.arange(n_blocks) * n // n_blocks
-
-
-def _square(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert [band, product, block] to symmetric matrices."""
+def _with_columns(sums: Float32s, n_blocks: int) -> NDArray[np.float64]:
+    """Convert sums over the rows of a band, [band, product, col], to symmetric matrices with a line for the column."""
+    n_cols = sums.shape[2]
+    starts = np.arange(n_blocks) * n_cols // n_blocks
+    col = np.arange(n_cols) * n_blocks % n_cols / n_cols - 0.5
     i, j = np.triu_indices(N_LINES)
-    out = np.empty((sums.shape[0], sums.shape[2], N_LINES, N_LINES))
-    out[:, :, i, j] = out[:, :, j, i] = sums.transpose(0, 2, 1)
+    to = np.array([0, 1, *range(N_SHADING, N_LINES + 1)])
+    out = np.empty((sums.shape[0], n_blocks, N_LINES + 1, N_LINES + 1))
+    of_blocks = np.add.reduceat(sums, starts, axis=2, dtype=np.float64).transpose(0, 2, 1)
+    out[:, :, to[i], to[j]] = out[:, :, to[j], to[i]] = of_blocks
+    by_column = sums[:, :N_LINES] * col
+    moments = np.add.reduceat(np.concatenate((by_column, by_column[:, :1] * col), axis=1), starts, axis=2)
+    with_column = np.append(to, N_SHADING - 1)
+    out[:, :, N_SHADING - 1, with_column] = out[:, :, with_column, N_SHADING - 1] = moments.transpose(0, 2, 1)
     return out
 
 
@@ -101,8 +108,8 @@ def _sum(
 ) -> None:
     n_bands, n_cols = sums.shape[0], sums.shape[2]
     left, other_left = corner[1], corner[3]
-    valid, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4]
-    smooth, slope = lines[5], lines[6]
+    valid, place, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
+    smooth, slope = lines[6], lines[7]
     for r in range(n_rows):
         row, other = corner[0] + r, corner[2] + r
         _weigh(first, row, left, weights[0, 0], smooth)
@@ -113,7 +120,7 @@ def _sum(
         _along(slope, weights[2, 0], down)
         _along(smooth, weights[2, 1], right)
         _multiply(first_valid[row, left:], second_valid[other, other_left:], valid[:n_cols])
-        _apply_mask(valid[:n_cols], a, b, down, right)
+        _apply_mask(valid[:n_cols], np.float32(r * n_bands % n_rows / n_rows - 0.5), place, a, b, down, right)
         band = sums[r * n_bands // n_rows]
         n = 0
         for i in range(N_LINES):
@@ -149,8 +156,11 @@ def _multiply(first: Float32s, second: Float32s, out: Float32s) -> None:
 
 
 @lean_part
-def _apply_mask(valid: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s) -> None:
+def _apply_mask(
+    valid: Float32s, row: np.float32, place: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s
+) -> None:
     for x in range(valid.size):
+        place[x] = row * valid[x]
         a[x], b[x], down[x], right[x] = a[x] * valid[x], b[x] * valid[x], down[x] * valid[x], right[x] * valid[x]
 
 
@@ -166,6 +176,8 @@ _SHOWS = 3.0
 """Variance of a block with signal, relative to that of the noise left after smoothing."""
 _SMOOTHED = 0.33
 """Noise left after smoothing, relative to that of a pixel."""
+_SOLID = 1e-9
+"""Part of the trace that keeps the shading of a block solvable whose known pixels lie in one line."""
 _LEAST_BLOCKS = 4
 """Smallest number of blocks for a covariance."""
 _LEAST_BLOCKS_BENT = 8
@@ -195,18 +207,32 @@ class BlockGradients:
 
 
 def block_gradients(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGradients:
-    """Return the block gradients with a separate brightness and contrast per block, so only a shift remains."""
+    """Return the block gradients with a separate brightness and contrast per block, so only a shift remains.
+
+    The brightness has a slope along both axes: light that falls off to the corners of a field differs between the two
+    pictures of an overlap. The contrast is the ratio of the deviations of both pictures: that of a regression would be
+    too small under noise, and move an edge that lies across the border.
+    """
     n = sums[:, 0, 0]
-    spread = sums[:, 1:, 1:] - sums[:, 1:, :1] * sums[:, :1, 1:] / n[:, None, None]
+    spread = _without_shading(sums)
     first, second, both = np.maximum(spread[:, 0, 0], 0), np.maximum(spread[:, 1, 1], 0), spread[:, 0, 1]
     room = np.maximum(second, 1e-9 * n)
-    gain = np.maximum(both, 0) / room
-    projector = spread - spread[:, :, 1:2] * spread[:, 1:2, :] / room[:, None, None]
-    weight = n / np.maximum(projector[:, 0, 0], 1e-9 * n)
+    gain = np.where(both > 0, np.sqrt(first / room), 0.0)
+    alike = np.maximum(both, 0) ** 2 / np.maximum(first * room, 1e-30)
+    weight = n / np.maximum(first - np.maximum(both, 0) ** 2 / room, 1e-9 * n)
     weight = weight / (1 + weight / (4 * np.median(weight))) if len(weight) else weight
-    pull = -(weight * gain)[:, None] * projector[:, 0, 2:]
-    stiffness = (weight * gain**2)[:, None, None] * projector[:, 2:, 2:]
-    return BlockGradients(index, place, n, first, second, both, pull, stiffness, weight * gain**2)
+    trust = weight * alike * gain**2
+    pull = -(weight * alike * gain)[:, None] * (spread[:, 0, 2:] - gain[:, None] * spread[:, 1, 2:])
+    stiffness = trust[:, None, None] * spread[:, 2:, 2:]
+    return BlockGradients(index, place, n, first, second, both, pull, stiffness, trust)
+
+
+def _without_shading(sums: Numbers) -> Numbers:
+    """Return the products [n, 4, 4] of values and slopes, without what 1, row and column explain of a block."""
+    shading, to_shading = sums[:, :N_SHADING, :N_SHADING], sums[:, :N_SHADING, N_SHADING:]
+    trace = np.trace(shading, axis1=1, axis2=2)
+    solid = shading + (_SOLID * trace)[:, None, None] * np.diag([0.0, 1.0, 1.0])
+    return sums[:, N_SHADING:, N_SHADING:] - np.swapaxes(to_shading, 1, 2) @ np.linalg.solve(solid, to_shading)
 
 
 def correlation(blocks: BlockGradients) -> float:
@@ -215,34 +241,37 @@ def correlation(blocks: BlockGradients) -> float:
     return float(blocks.both.sum()) / energy**0.5 if energy > 0 else 0.0
 
 
-def covariance(blocks: BlockGradients, stiffness: Numbers) -> Numbers:
-    """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian."""
-    n = len(blocks.pixels)
-    if (
-        n < _LEAST_BLOCKS
-        or not (np.diag(stiffness) > 0).all()
-        or np.linalg.det(stiffness) <= 1e-9 * np.prod(np.diag(stiffness))
-    ):
+def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers | None = None) -> Numbers:
+    """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian.
+
+    held: unit vectors of the determined directions, [2, k], both by default; `LOOSE_PX` is the standard uncertainty in
+    the other direction.
+    """
+    basis = np.eye(2) if held is None else held
+    n, pull, stiffness = len(blocks.pixels), blocks.pull @ basis, basis.T @ stiffness @ basis
+    diagonal = np.diag(stiffness)
+    if n < _LEAST_BLOCKS or not (diagonal > 0).all() or np.linalg.det(stiffness) <= 1e-9 * np.prod(diagonal):
         return np.full((2, 2), np.inf)
-    spread = blocks.pull.T @ blocks.pull * (n / (n - 2))
+    spread = pull.T @ pull * (n / (n - 2))
     inverse = np.linalg.inv(stiffness)
-    wider = np.maximum(np.diag(_spread_of_lines(blocks)), np.diag(_spread_of_areas(blocks)))
+    wider = np.maximum(np.diag(_spread_of_lines(pull, blocks.index)), np.diag(_spread_of_areas(pull, blocks.index)))
     more = np.sqrt(np.maximum(1.0, wider / np.maximum(np.diag(spread), 1e-30)))
-    return np.asarray(inverse @ (spread * np.outer(more, more)) @ inverse, np.float64)
+    known = basis @ inverse @ (spread * np.outer(more, more)) @ inverse @ basis.T
+    return np.asarray(known + LOOSE_PX**2 * (np.eye(2) - basis @ basis.T), np.float64)
 
 
-def _spread_of_lines(blocks: BlockGradients) -> Numbers:
+def _spread_of_lines(pull: Numbers, index: NDArray[np.intp]) -> Numbers:
     """Return the scatter of the gradients with errors correlated along rows and columns, as at a straight edge.
 
     Source: A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29 (2011) 238.
     """
-    rows, cols = (_spread_of(blocks.pull, blocks.index[:, axis]) for axis in (0, 1))
-    return rows + cols - blocks.pull.T @ blocks.pull
+    rows, cols = (_spread_of(pull, index[:, axis]) for axis in (0, 1))
+    return rows + cols - pull.T @ pull
 
 
-def _spread_of_areas(blocks: BlockGradients) -> Numbers:
+def _spread_of_areas(pull: Numbers, index: NDArray[np.intp]) -> Numbers:
     """Return the same for nearby blocks: areas of a picture that come from different frames."""
-    return np.maximum(*(_spread_of(blocks.pull, _numbered(blocks.index // side)) for side in _AREAS))
+    return np.maximum(*(_spread_of(pull, _numbered(index // side)) for side in _AREAS))
 
 
 def _numbered(index: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -305,6 +334,16 @@ class AlignmentParameters:
         Step above which the change of the gradient shows the real fraction of the Hessian.
     probe_px : float, px
         Distance to either side of the lag for a Hessian by finite differences.
+    anisotropic : float
+        Stiffness of a direction beyond that of noise, relative to the other, below which it may be undetermined, as
+        along lines.
+    loose_noise, loose_fraction : float
+        Stiffness of such a direction, in that of noise and relative to the other, above which it is determined.
+    surely_rises : float, per px
+        Smallest rise of the misfit in that direction, in the scatter of its gradient; a random picture rises by 1, at
+        its best place by 2.
+    least_rise : float
+        The same without noise, relative to the other direction.
     least_hessian_fraction : float
         Lower limit of the real fraction of the Hessian.
     noise_slope : float, per px
@@ -327,6 +366,11 @@ class AlignmentParameters:
     roughly_close_px: float = 0.05
     telling_px: float = 0.05
     probe_px: float = 0.2
+    anisotropic: float = 0.2
+    loose_noise: float = 2.0
+    loose_fraction: float = 0.001
+    surely_rises: float = 4.0
+    least_rise: float = 1e-5
     least_hessian_fraction: float = 0.05
     noise_slope: float = 0.3
     clearly: float = 10.0
@@ -335,6 +379,9 @@ class AlignmentParameters:
 
 
 ALIGNMENT = AlignmentParameters()
+
+LOOSE_PX = 1000.0
+"""Standard uncertainty of a lag along lines, where nothing determines it."""
 
 Lag = tuple[float, float]
 
@@ -355,9 +402,10 @@ class RegisteredImage:
 class SubpixelShift:
     """A lag (rows, cols) in pixels: pixel (r, c) of the second is at (r + lag row, c + lag col) of the first.
 
-    covariance: [2, 2], infinite if undetermined; correlation: within blocks, -1 ... 1; agreeing: fraction of the
-    contrast in blocks that fit on their own; bent_px: deviation of the lags of the outermost blocks from that in the
-    middle, and bent_sigmas: its significance.
+    covariance: [2, 2], infinite if undetermined, `LOOSE_PX` squared along lines; correlation: within blocks, -1 ... 1;
+    agreeing: fraction of the contrast in blocks that fit on their own; bent_px: deviation of the lags of the outermost
+    blocks from that in the middle, and bent_sigmas: its significance; n_blocks: number of blocks; unexplained: fraction
+    of the variance within them that the lag leaves.
     """
 
     lag: Lag
@@ -367,6 +415,22 @@ class SubpixelShift:
     bent_px: float
     bent_sigmas: float
     n_pixels: float
+    n_blocks: int
+
+    @property
+    def held(self) -> Numbers:
+        """Unit vectors of the directions that the picture determines, [2, k]."""
+        return held_directions(self.covariance)
+
+    unexplained: float
+
+
+def held_directions(covariance: Numbers) -> Numbers:
+    """Return the unit vectors along which a covariance is not that of a loose direction, [2, k]."""
+    if not np.isfinite(covariance).all():
+        return np.zeros((2, 0))
+    variances, directions = np.linalg.eigh(covariance)
+    return directions[:, variances < (LOOSE_PX / 2) ** 2]
 
 
 def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, roughly: bool = False) -> SubpixelShift:
@@ -380,37 +444,97 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         1.0,
         ALIGNMENT.roughly_close_px if roughly else ALIGNMENT.close_px,
     )
+    noise = math.sqrt(first.noise * second.noise)
+    surface = _Surface.of(first, second, lag, side, pulls, noise)
     for _ in range(ALIGNMENT.most_steps):
-        step, before = _step(pulls, ease), pulls
+        step, before = surface.step(pulls, ease), pulls
         lag = lag[0] + float(step[0]), lag[1] + float(step[1])
         if np.abs(step).max() < close_px:
             break
         pulls = _gradients(first, second, lag, side)
-        if np.abs(step).max() > ALIGNMENT.telling_px:
+        if np.abs(step).max() > ALIGNMENT.telling_px and surface.measured is None:
             ease = _hessian_fraction(before, pulls, step)
-    noise = math.sqrt(first.noise * second.noise)
-    clear = roughly or _is_clear(pulls, noise)
-    stiffness = pulls.stiffness.sum(axis=0) if clear else _hessian_by_differences(first, second, lag, side)
-    bent_px, bent_sigmas = shift_gradient(pulls)
-    shares = correlation(pulls), agreement_fraction(pulls, noise)
+    surface = _Surface.of(first, second, lag, side, pulls, noise)
+    stiffness = pulls.stiffness.sum(axis=0)
+    if surface.measured is not None:
+        stiffness = surface.measured
+    elif not roughly and not _is_clear(pulls, noise):
+        stiffness = _hessian_by_differences(first, second, lag, side)
+    bent_px, bent_sigmas = shift_gradient(pulls) if surface.held.shape[1] == 2 else (0.0, 0.0)
     return SubpixelShift(
-        lag, covariance(pulls, stiffness), *shares, bent_px / ease, bent_sigmas, float(pulls.pixels.sum())
+        lag,
+        covariance(pulls, stiffness, surface.held),
+        correlation(pulls),
+        agreement_fraction(pulls, noise),
+        bent_px / ease,
+        bent_sigmas,
+        float(pulls.pixels.sum()),
+        len(pulls.pixels),
+        1 - correlation(pulls) ** 2,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """How the misfit of two pictures rises about a lag.
+
+    held: unit vectors of the directions in which it rises, [2, k]: one of lines, both of anything else; measured: its
+    Hessian by differences, where the slopes in one direction are mostly those of noise; None elsewhere.
+    """
+
+    held: Numbers
+    measured: Numbers | None
+
+    @classmethod
+    def of(
+        cls, first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, pulls: BlockGradients, noise: float
+    ) -> _Surface:
+        """Look whether the picture determines the weaker direction, where its slopes are hardly more than noise.
+
+        It does where the misfit really rises there, by more than that of a random picture may.
+        """
+        (weak, strong), directions = np.linalg.eigh(pulls.stiffness.sum(axis=0))
+        of_noise = _noise_stiffness(pulls, noise)
+        doubtful = max(ALIGNMENT.loose_noise * of_noise, ALIGNMENT.loose_fraction * strong)
+        if weak >= doubtful or max(weak - of_noise, 0) >= ALIGNMENT.anisotropic * (strong - of_noise):
+            return cls(np.eye(2), None)
+        measured = _hessian_by_differences(first, second, lag, side)
+        scatter = float(np.sqrt(np.sum((pulls.pull @ directions[:, 0]) ** 2)))
+        rises = float(directions[:, 0] @ measured @ directions[:, 0])
+        if rises > max(ALIGNMENT.surely_rises * scatter, ALIGNMENT.least_rise * strong):
+            return cls(np.eye(2), measured)
+        return cls(directions[:, 1:], None)
+
+    def step(self, pulls: BlockGradients, ease: float) -> Numbers:
+        """Return one Gauss-Newton step of at most a pixel, along the determined directions."""
+        stiffness = pulls.stiffness.sum(axis=0) * ease if self.measured is None else self.measured
+        stiffness = stiffness + 1e-6 * np.trace(stiffness) * np.eye(2) + 1e-30 * np.eye(2)
+        step = np.linalg.solve(self.held.T @ stiffness @ self.held, self.held.T @ pulls.pull.sum(axis=0))
+        return np.asarray(self.held @ step, np.float64).clip(-1, 1)
+
+
+def _noise_stiffness(pulls: BlockGradients, noise: float) -> float:
+    """Return the stiffness along any direction that slopes of pixel noise alone would have."""
+    return float((pulls.trust * pulls.pixels).sum()) * (ALIGNMENT.noise_slope * noise) ** 2
 
 
 def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
-    """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
-    decrease = float(step @ (before.pull.sum(axis=0) - after.pull.sum(axis=0)))
-    return min(
-        1.0,
-        max(ALIGNMENT.least_hessian_fraction, decrease / max(float(step @ before.stiffness.sum(axis=0) @ step), 1e-30)),
-    )
+    """Return the real fraction of the Hessian: slopes of the noise do not move with the picture.
+
+    Both gradients count with the weights after the step, which a better fit has changed.
+    """
+    if not np.array_equal(before.index, after.index):
+        return 1.0
+    weight = np.divide(after.trust, before.trust, out=np.zeros_like(after.trust), where=before.trust > 0)
+    decrease = float(step @ (weight @ before.pull - after.pull.sum(axis=0)))
+    expected = float(step @ np.einsum("b,bij->ij", weight, before.stiffness) @ step)
+    return min(1.0, max(ALIGNMENT.least_hessian_fraction, decrease / max(expected, 1e-30)))
 
 
 def _is_clear(pulls: BlockGradients, noise: float) -> bool:
     """Return whether the slopes are those of the picture in every direction."""
-    of_noise = float((pulls.trust * pulls.pixels).sum()) * (ALIGNMENT.noise_slope * noise) ** 2
-    return bool(np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0] > ALIGNMENT.clearly * of_noise)
+    weakest = np.linalg.eigvalsh(pulls.stiffness.sum(axis=0))[0]
+    return bool(weakest > ALIGNMENT.clearly * _noise_stiffness(pulls, noise))
 
 
 def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
@@ -433,10 +557,3 @@ def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: 
     pixels = flat[:, 0, 0]
     enough = pixels > max(ALIGNMENT.least_filled * pixels.max(initial=0), ALIGNMENT.least_pixels)
     return block_gradients(flat[enough], index[enough], place[enough])
-
-
-def _step(pulls: BlockGradients, ease: float) -> Numbers:
-    """Return one Gauss-Newton step of at most a pixel."""
-    stiffness = pulls.stiffness.sum(axis=0) * ease
-    stiffness = stiffness + 1e-6 * np.trace(stiffness) * np.eye(2) + 1e-30 * np.eye(2)
-    return np.linalg.solve(stiffness, pulls.pull.sum(axis=0)).clip(-1, 1)

@@ -24,13 +24,14 @@ from wafer_viewer.model.surface.height_map import HeightMap, Outline
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blending.mosaic_layout import layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance, moved_to
+from wafer_viewer.reconstruct.pose_graph.candidate_choice import choose_candidates
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields, stitching_notes
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
-from wafer_viewer.reconstruct.registration.pair_registration import register
+from wafer_viewer.reconstruct.registration.pair_registration import refine, register
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
@@ -156,11 +157,13 @@ class FieldsToPlace:
 class OverlapObservers:
     """Functions that measure overlaps, either in memory or on workers that open the maps themselves.
 
-    register(pairs): lateral shifts in x and y; compare(pairs, x_um, y_um): height offsets in z, at the centres of all
-    fields; opened(place): the height map of one field, by its index in the list.
+    register(pairs): lateral shifts in x and y; refine(pairs, shift_um): the same near known ones; compare(pairs, x_um,
+    y_um): height offsets in z, at the centres of all fields; opened(place): the height map of one field, by its index
+    in the list.
     """
 
     register: Callable[[Pairs], Shifts]
+    refine: Callable[[Pairs, Um], Shifts]
     compare: Callable[[Pairs, Um, Um], HeightOffsets]
     opened: Callable[[int], HeightMap]
 
@@ -172,11 +175,14 @@ def _in_memory_observers(heights: Sequence[HeightMap], stitching: Stitching, pro
     def registered(pairs: Pairs) -> Shifts:
         return register(heights, pairs, reach_um, progress=lambda share: progress(REGISTER_SHARE * share))
 
+    def refined(pairs: Pairs, shift_um: Um) -> Shifts:
+        return refine(heights, pairs, shift_um, progress=lambda _: progress(REGISTER_SHARE))
+
     def compared(pairs: Pairs, x_um: Um, y_um: Um) -> HeightOffsets:
         rest = 1 - REGISTER_SHARE
         return compare(heights, pairs, x_um, y_um, progress=lambda share: progress(REGISTER_SHARE + rest * share))
 
-    return OverlapObservers(registered, compared, heights.__getitem__)
+    return OverlapObservers(registered, refined, compared, heights.__getitem__)
 
 
 # ------------------------------------------------------------------------------------------------------------ overlaps
@@ -189,6 +195,7 @@ class RegisteredOverlaps:
     pairs: Pairs
     shifts: Shifts
     left_out: NDArray[np.bool_]
+    notes: tuple[str, ...] = ()
 
     @property
     def usable_pairs(self) -> Pairs:
@@ -197,10 +204,30 @@ class RegisteredOverlaps:
 
 
 def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> RegisteredOverlaps:
-    """Register all overlaps, except those of unchanged fields, and exclude the fields that fit no neighbour."""
+    """Register all overlaps, except those of unchanged fields, and exclude the fields that fit no neighbour.
+
+    Of the offsets at which a repeating pattern fits, the one that agrees with all other overlaps is measured.
+    """
     pairs, n_fields = neighbours(fields.outlines), len(fields.outlines)
     shifts = fields.previous.shifts(pairs, observers.register)
-    return RegisteredOverlaps(pairs, shifts, np.isin(np.arange(n_fields), misplaced_fields(n_fields, shifts)))
+    x_um, y_um = fields.centres_um
+    start = (fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um))
+    choice = choose_candidates(
+        x_um,
+        y_um,
+        shifts,
+        fields.outlines[0].pixel_um,
+        stage_error_um=fields.stitching.stage_error_um,
+        fixed=fields.fixed,
+        start=start,
+    )
+    notes: tuple[str, ...] = ()
+    if choice is not None:
+        notes = choice.notes(fields.outlines[0].pixel_um)
+        again = np.column_stack((shifts.first, shifts.second))[choice.to_measure]
+        shifts = choice.with_measured(observers.refine(again, choice.expected_um[choice.to_measure]))
+    left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, shifts))
+    return RegisteredOverlaps(pairs, shifts, left_out, notes)
 
 
 # --------------------------------------------------------------------------------------------------------------- poses
@@ -274,7 +301,7 @@ def combine(
         stage_error_um=lateral.stage_error_um,
         z_error_um=vertical.z_error_um,
         final=fields.fixed is None,
-        notes=lateral.notes + vertical.notes,
+        notes=registered.notes + lateral.notes + vertical.notes,
     )
     notes = stitching_notes(poses, registered.pairs, observers.opened)
     return dataclasses.replace(poses, notes=poses.notes + notes)

@@ -49,13 +49,19 @@ def test_sums_of_blocks_are_those_of_the_pixels():
     a, b = rng.normal(size=(2, 50, 41)).astype(np.float32)
     valid = (rng.random((50, 41)) < 0.8).astype(np.float32)
     sums = block_sums(a, valid, b, np.ones_like(b), (4.0, -3.0), 12)
-    assert sums.shape == (3, 2, 5, 5)
+    assert sums.shape == (3, 2, 7, 7)
     assert sums[:, :, 0, 0].sum() == valid[7:47, 3:35].sum()
     smooth = np.stack([np.convolve(row, taps(0)[0], "valid") for row in a])
     smooth = np.stack([np.convolve(col, taps(0)[0], "valid") for col in smooth.T]).T
     inner = valid[7:47, 3:35]
-    np.testing.assert_allclose(sums[:, :, 0, 1].sum(), (smooth[4:44, :32] * inner).sum(), rtol=1e-4)
-    np.testing.assert_allclose(sums[:, :, 1, 1].sum(), (smooth[4:44, :32] ** 2 * inner).sum(), rtol=1e-4)
+    np.testing.assert_allclose(sums[:, :, 0, 3].sum(), (smooth[4:44, :32] * inner).sum(), rtol=1e-4)
+    np.testing.assert_allclose(sums[:, :, 3, 3].sum(), (smooth[4:44, :32] ** 2 * inner).sum(), rtol=1e-4)
+    row, col = np.arange(40)[:, None] % (40 / 3) * 3 / 40 - 0.5, np.arange(32) % 16 / 16 - 0.5
+    for line, of in ((1, row + 0 * col), (2, col + 0 * row)):
+        np.testing.assert_allclose(sums[:, :, 0, line].sum(), (of * inner).sum(), rtol=1e-4)
+        np.testing.assert_allclose(sums[:, :, line, 3].sum(), (of * smooth[4:44, :32] * inner).sum(), rtol=1e-4)
+    np.testing.assert_allclose(sums[:, :, 1, 2].sum(), (row * col * inner).sum(), rtol=1e-4)
+    np.testing.assert_allclose(sums[:, :, 2, 2].sum(), (col**2 * inner).sum(), rtol=1e-4)
     np.testing.assert_array_equal(sums, sums.swapaxes(2, 3))
 
 
@@ -112,6 +118,18 @@ def test_a_picture_that_is_turned_is_bent():
     assert found.bent_px == pytest.approx(angle * SHAPE[0] / 2, rel=0.3)
     assert found.bent_sigmas > 6
     assert align(first, second, (0.0, 0.0), 20).bent_sigmas < 4
+
+
+def test_light_that_falls_off_moves_nothing():
+    """A pattern of few, strong edges under a light that falls by a third across the overlap."""
+    pattern = 40 * np.sign(np.sin(np.arange(SHAPE[0]) / 9)[:, None] + np.sin(np.arange(SHAPE[1]) / 7))
+    rng = np.random.default_rng(0)
+    first, second = (100 + gaussian_filter(pattern, 1.5) + rng.normal(0, 0.5, SHAPE) for _ in range(2))
+    falls = 1 - 0.3 * np.linspace(0, 1, SHAPE[1]) ** 2
+    lit = (np.log(np.maximum(grey, 4)) for grey in (first * falls, second * falls[::-1]))
+    found = align(*(picture(grey - grey.mean(), noise=0.01) for grey in lit), (0.0, 0.0), 20)
+    assert np.abs(found.lag).max() < 0.02
+    assert np.abs(found.lag).max() < 4 * np.sqrt(np.diag(found.covariance)).max()
 
 
 def test_where_only_a_part_fits_little_agrees():

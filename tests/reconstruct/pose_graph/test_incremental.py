@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.model.surface.field_poses import Poses, RejectionReason, Shifts, no_seams
+from wafer_viewer.model.surface.field_poses import Poses, RejectionReason, Shifts, no_candidates, no_seams
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, freeze_unmoved_fields
 
 
@@ -15,7 +15,13 @@ def _shifts(pairs: np.ndarray) -> Shifts:
     zero, code = np.zeros(n), np.zeros(n, np.uint8)
     share = np.ones(n, np.float32)
     first, second = pairs.T.astype(np.int32)
-    return Shifts(first, second, 10.0 * first + second, zero, zero, zero, share, code, code, share, zero, zero)
+    return Shifts(
+        first,
+        second,
+        10.0 * first + second,
+        *(zero, zero, zero, share, code, code, share, zero, zero, zero),
+        no_candidates(n),
+    )
 
 
 def _poses(numbers: list[int], marks: list[int], shifts: Shifts) -> Poses:

@@ -12,7 +12,7 @@ from scipy import ndimage
 from tests.support.overlapping_tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights, with_picture
 from wafer_viewer.model.surface.field_poses import ObservationSource, RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.reconstruct.registration.pair_registration import PairShift, register, register_pair
+from wafer_viewer.reconstruct.registration.pair_registration import PairShift, refine_pair, register, register_pair
 
 SHAPE = (200, 240)
 BESIDE, BELOW = (0, 190), (155, 0)
@@ -112,14 +112,46 @@ def test_a_grating_is_never_believed_at_a_wrong_period(sample, period_px):
 
 @pytest.mark.parametrize("neighbour", [BESIDE, BELOW], ids=["beside", "below"])
 @pytest.mark.parametrize("noise_counts", [0.0, 2.0])
-def test_lines_in_one_direction_are_ambiguous(sample, neighbour, noise_counts):
+def test_lines_in_one_direction_tell_the_shift_across_them_and_nothing_along(sample, neighbour, noise_counts):
     cols = np.arange(520) / 6
     lines = 110 + 40 * np.clip(8 * (np.sin(cols) + np.sin(cols * 2.3)), -1, 1)
     striped = Sample(np.tile(lines, (460, 1)), sample.z_um)
-    assert (
-        register_pair(*pair(striped, neighbour, (2.0, 3.5), noise_counts=noise_counts)).doubt
-        is RejectionReason.AMBIGUOUS
-    )
+    found = register_pair(*pair(striped, neighbour, (2.0, 3.5), noise_counts=noise_counts))
+    assert found.doubt is RejectionReason.NONE
+    assert abs(error_px(found, (2.0, 3.5))[1]) < 0.03
+    assert found.u_x_um < 0.5 * PIXEL_UM
+    assert found.u_y_um > 100 * PIXEL_UM
+
+
+def test_slanting_lines_have_a_covariance_of_both_axes(sample):
+    rows, cols = np.indices((460, 520))
+    across = (rows + cols) / np.sqrt(2) / 5
+    striped = Sample(110 + 40 * np.clip(8 * (np.sin(across) + np.sin(across * 2.3)), -1, 1), sample.z_um)
+    off = 2.0, 3.5
+    found = register_pair(*pair(striped, BESIDE, off, noise_counts=2.0))
+    assert found.doubt is RejectionReason.NONE
+    down, right = error_px(found, off)
+    assert abs(down + right) / np.sqrt(2) < 0.03
+    covariance = np.array([[found.u_x_um**2, found.covariance_um2], [found.covariance_um2, found.u_y_um**2]])
+    across_um = np.array([1, -1]) / np.sqrt(2)  # x to the right, y up
+    assert np.sqrt(across_um @ covariance @ across_um) < 0.1 * PIXEL_UM
+
+
+@pytest.mark.parametrize("pitch_px", [(31.0, 31.0), (14.3, 22.6), (40.0, 11.2)])
+def test_a_pattern_has_all_its_offsets_as_candidates(sample, pitch_px):
+    rows, cols = np.indices((460, 520))
+    cell = np.sign(np.sin(rows * 2 * np.pi / pitch_px[0]) + 0.4) + np.sign(np.sin(cols * 2 * np.pi / pitch_px[1]) - 0.3)
+    dies = Sample(110 + 25 * ndimage.gaussian_filter(cell, 1.2), sample.z_um)
+    found = register_pair(*pair(dies, BESIDE, off := (2.4, -3.7), noise_counts=2.0))
+    assert found.doubt is RejectionReason.AMBIGUOUS
+    at_px = np.column_stack([-found.candidates[:, 1], found.candidates[:, 0]]) / PIXEL_UM
+    for i, j in [(0, 0), (1, 0), (0, -1), (-1, 1)]:
+        expected = np.add(off, (i * pitch_px[0], j * pitch_px[1]))
+        if np.abs(expected).max() < 30:
+            assert np.hypot(*(at_px - expected).T).min() < 0.5
+    near = refine_pair(*pair(dies, BESIDE, off, noise_counts=2.0), (off[1] * PIXEL_UM + 0.3, -off[0] * PIXEL_UM - 0.3))
+    assert near.doubt is RejectionReason.NONE
+    assert np.abs(error_px(near, off)).max() < 0.06
 
 
 def test_further_than_the_reach_is_not_believed(sample):

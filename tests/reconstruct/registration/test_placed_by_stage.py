@@ -61,12 +61,27 @@ def stitched(samples: list[Sample], n: int, recipe: Recipe = Recipe()) -> tuple[
     return mosaic.poses, mosaic.provenance.notes
 
 
-def test_dies_finer_than_the_search_are_reported_to_lie_where_the_stage_says():
+def test_dies_finer_than_the_search_are_placed_by_all_overlaps_together():
     poses, notes = stitched([dies(30, wafer(4))], 4)
+    assert poses.shifts.believed.all()
+    (note,) = [note for note in notes if "repeating pattern" in note]
+    assert note.startswith("24 of 24 overlaps show a repeating pattern: which period is right was decided by the stage")
+    moved = np.random.default_rng(3).normal(0, 3, (16, 2)) * PIXEL_UM  # down and right, as the fields were taken
+    off = np.column_stack((poses.y_um - poses.stage_y_um + moved[:, 0], poses.x_um - poses.stage_x_um - moved[:, 1]))
+    assert np.abs(off - off.mean(axis=0)).max() < 0.05 * PIXEL_UM
+    info = stitching_info(poses)
+    assert info is not None
+    assert (info.n_by_stage, info.n_periodic) == (0, 24)
+
+
+def test_dies_finer_than_the_stage_are_reported_to_lie_where_the_stage_says():
+    poses, notes = stitched([dies(10, wafer(4))], 4)
     assert not poses.shifts.believed.any()
     (note,) = [note for note in notes if note.startswith(BY_STAGE_ALONE)]
     assert "24 of 24 overlaps ambiguous (repeating pattern)" in note
     assert "set search_um" in note
+    (why,) = [note for note in notes if "no period was chosen" in note]
+    assert "a pattern that repeats every 4.99 um, and the stage is off by" in why
     info = stitching_info(poses)
     assert info is not None
     assert info.n_by_stage == 16
@@ -88,9 +103,9 @@ def test_the_mend_that_the_note_names_helps():
 
 
 def test_fields_that_hang_on_the_stage_next_to_others_are_named():
-    """The left half is of random texture, the right half of fine dies."""
+    """The left half is of random texture, the right half of dies too fine for the stage."""
     shape = wafer(4)
-    left, right = a_sample(shape), dies(30, shape)
+    left, right = a_sample(shape), dies(10, shape)
     textured = np.arange(shape[1]) < 10 + 2 * PITCH[1] - 14
     joint = Sample(np.where(textured, left.grey, right.grey), np.where(textured, left.z_um, right.z_um))
     poses, notes = stitched([joint], 4)
@@ -105,7 +120,7 @@ def test_fields_that_hang_on_the_stage_next_to_others_are_named():
 def test_the_command_line_says_that_the_stage_alone_placed_the_fields(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    heights, fields = scanned([dies(30, wafer(2))], 2)
+    heights, fields = scanned([dies(10, wafer(2))], 2)
     (tmp_path / "images").mkdir()
     for height, field in zip(heights, fields, strict=True):
         sharp = height.all_in_focus.astype(float)

@@ -52,6 +52,10 @@ DOUBT_WORDS: dict[RejectionReason, str] = {
 """Words after a count of overlaps: 24 ambiguous (repeating pattern), 2 blank."""
 
 
+N_CANDIDATE = 6
+"""Length of a row of `Shifts.candidates`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shifts:
     """Lateral overlap measurements, all [n]; fields by their list index, lengths in um.
@@ -59,7 +63,9 @@ class Shifts:
     x_um, y_um: offset of the second from the first to the right and up, relative to the stage; u_x_um, u_y_um: standard
     uncertainty, infinite without information; correlation: of the two pictures (or heights) at the best fit, -1 ... 1;
     by: `ObservationSource`; doubt: `RejectionReason`, from the overlap alone until the poses are solved; weight: 0 ...
-    1, in the solution; residual_x_um, residual_y_um: measured minus solved.
+    1, in the solution; residual_x_um, residual_y_um: measured minus solved; covariance_um2: of the errors along x and
+    y; candidates: float32 [n, k, 6], where a repeating pattern fits at several offsets, for each of them x_um, y_um,
+    its precision (xx, xy, yy in 1/um^2) and its misfit above the best one, in nats; NaN in unused rows.
     """
 
     first: NDArray[np.int32]
@@ -74,6 +80,13 @@ class Shifts:
     weight: NDArray[np.float32]
     residual_x_um: Numbers
     residual_y_um: Numbers
+    covariance_um2: Numbers
+    candidates: NDArray[np.float32]
+
+    @property
+    def repeats(self) -> NDArray[np.bool_]:
+        """Mask of the overlaps in which a pattern fits at several offsets."""
+        return np.isfinite(self.candidates[:, :, 0]).any(axis=1)
 
     @property
     def believed(self) -> NDArray[np.bool_]:
@@ -189,15 +202,37 @@ def selected(table: T, rows: NDArray[Any]) -> T:
 
 def joined(tables: Sequence[T]) -> T:
     """Concatenate tables, at least one."""
-    columns = {item.name: np.concatenate([getattr(t, item.name) for t in tables]) for item in fields(tables[0])}
+    columns = {item.name: _stacked([getattr(t, item.name) for t in tables]) for item in fields(tables[0])}
     return replace(tables[0], **columns)
+
+
+def _stacked(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Concatenate columns; candidates of overlaps with fewer of them are padded."""
+    if columns[0].ndim < 3 or len({column.shape[1:] for column in columns}) == 1:
+        return np.concatenate(columns)
+    return padded_candidates([rows for column in columns for rows in column])
+
+
+def padded_candidates(each: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return lists of candidates, [k, 6] each, in one array [n, most, 6], with NaN in unused rows."""
+    most = max((len(rows) for rows in each), default=0)
+    table = np.full((len(each), most, N_CANDIDATE), np.nan, np.float32)
+    for padded, rows in zip(table, each, strict=True):
+        padded[: len(rows)] = rows
+    return table
 
 
 def no_shifts() -> Shifts:
     """Return an empty table."""
     integers, floats = np.zeros(0, np.int32), np.zeros(0)
     code, share = np.zeros(0, np.uint8), np.zeros(0, np.float32)
-    return Shifts(integers, integers, floats, floats, floats, floats, share, code, code, share, floats, floats)
+    measured = (floats, floats, floats, floats, share, code, code, share, floats, floats, floats)
+    return Shifts(integers, integers, *measured, no_candidates(0))
+
+
+def no_candidates(n: int) -> NDArray[np.float32]:
+    """Return `Shifts.candidates` of n overlaps that fit at one offset only."""
+    return np.zeros((n, 0, N_CANDIDATE), np.float32)
 
 
 def no_seams() -> HeightOffsets:

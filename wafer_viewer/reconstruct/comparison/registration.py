@@ -64,6 +64,8 @@ class PatchParameters:
         Minimum scatter of patches, due to interpolation and pixel shape.
     least_u_px : float, px
         Common error of the patches, due to interpolation and pixel shape.
+    most_u_px : float, px
+        Largest uncertainty of a patch along an axis; along lines its place is undetermined.
     """
 
     side_px: int = 256
@@ -78,6 +80,7 @@ class PatchParameters:
     most_turn: float = 0.05
     least_spread_px: float = 0.03
     least_u_px: float = 0.02
+    most_u_px: float = 0.5
 
 
 PATCHES = PatchParameters()
@@ -185,7 +188,9 @@ def _sighting(
     fit = match(one, other, reach_px, read)
     down, right = fit.off_px
     u_down, u_right = fit.u_px
-    return at_um, (right * pixel, -down * pixel), (u_right * pixel, u_down * pixel), fit.doubt
+    is_held = max(fit.u_px) < PATCHES.most_u_px or fit.doubt is not RejectionReason.NONE
+    doubt = fit.doubt if is_held else RejectionReason.AMBIGUOUS
+    return at_um, (right * pixel, -down * pixel), (u_right * pixel, u_down * pixel), doubt
 
 
 def _square(at_um: tuple[float, float], pixel_um: float, side_px: int) -> SampleGrid:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts
+from wafer_viewer.numerics.subpixel_registration import LOOSE_PX
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import arbitrate_bridges, groups
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
 from wafer_viewer.reconstruct.pose_graph.robust_solver import (
@@ -241,10 +242,18 @@ class _Task:
         return np.nan_to_num(np.column_stack(shifts), posinf=0.0, neginf=0.0)
 
     def _information(self) -> Numbers:
+        """Return the inverse covariances [e, 2, 2] of the overlaps, without directions that nothing determines."""
         u = np.column_stack((self.shifts.u_x_um, self.shifts.u_y_um))
-        observed = self.usable[:, None] & np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um)))
-        precision = np.where(observed, 1 / (u**2 + (_FLOOR_PX * self.pixel_um) ** 2), 0.0)
-        return precision[:, :, None] * np.eye(2)
+        u = np.where(np.isfinite(u), u, LOOSE_PX * self.pixel_um)
+        told = self.usable & np.isfinite(self.shifts.x_um) & np.isfinite(self.shifts.y_um)
+        covariance = np.zeros((len(u), 2, 2))
+        covariance[told] = u[told][:, :, None] * u[told][:, None, :] * np.eye(2)
+        covariance[told, 0, 1] = covariance[told, 1, 0] = self.shifts.covariance_um2[told]
+        variance, axes = np.linalg.eigh(covariance)
+        loose = variance > (LOOSE_PX / 2 * self.pixel_um) ** 2
+        precision = 1 / (variance + (_FLOOR_PX * self.pixel_um) ** 2)
+        precision = np.where(told[:, None] & ~loose, precision, 0.0)
+        return np.asarray((axes * precision[:, None, :]) @ np.swapaxes(axes, 1, 2), np.float64)
 
     def positions(self, network: PoseGraph, solution: RobustSolution, axes: CameraAxes, found: CameraAxes) -> Positions:
         """Return positions, uncertainties and groups from the displacements against a known camera."""

@@ -168,6 +168,8 @@ def _joined(n_fields: int, shifts: Shifts, used: NDArray[np.bool_]) -> NDArray[n
 
 
 Open = Callable[[int], HeightMap]
+STAGE_AT_LEAST_UM = 0.5
+"""Uncertainty along an axis up to which an overlap places its fields in any case."""
 NAMED = 8
 """Largest number of fields that a note lists."""
 BY_STAGE_ALONE = "Stitched by the stage's positions alone"
@@ -182,6 +184,8 @@ def stitching_notes(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> tup
     sentences = [empty_field_note(int(poses.numbers[place])) for place in empty]
     return (
         *_by_stage(poses, empty),
+        *_patterned(poses),
+        *_along_lines(poses),
         *_left_out(poses, pairs, opened),
         *_loose(poses),
         *sentences,
@@ -223,7 +227,35 @@ def _pattern_advice(shifts: Shifts) -> str:
     """Return advice for repeating patterns, or an empty string."""
     if not (shifts.doubt == RejectionReason.AMBIGUOUS).any():
         return ""
-    return " If the stage is more accurate than half the pattern's pitch, set search_um to less than that."
+    return " If the stage is more accurate than a fifth of the pattern's pitch, set search_um to half of the pitch."
+
+
+def _patterned(poses: Poses) -> Iterator[str]:
+    """Note the believed overlaps of a pattern that repeats: their pictures alone do not tell by how many periods."""
+    n = int(np.count_nonzero(poses.shifts.repeats & poses.shifts.believed))
+    if n:
+        yield (
+            f"{n} of {poses.shifts.first.size} overlaps show a repeating pattern: which period is right was decided by "
+            "the stage and all overlaps together."
+        )
+
+
+def _along_lines(poses: Poses) -> Iterator[str]:
+    """Note the fields that overlaps place in one direction only, where these show nothing but lines along the other."""
+    shifts, n_fields = poses.shifts, poses.numbers.size
+    between = shifts.believed & ~poses.left_out[shifts.first] & ~poses.left_out[shifts.second]
+    loose = np.zeros(n_fields, np.bool_)
+    for u_um in (shifts.u_x_um, shifts.u_y_um):
+        tied = _joined(n_fields, shifts, between & (u_um < max(poses.stage_error_um, STAGE_AT_LEAST_UM)))
+        size = np.bincount(tied, minlength=n_fields)
+        loose |= tied != tied[np.argmax(size[tied])]
+    loose &= ~poses.left_out & ~placed_by_stage(poses)
+    if loose.any():
+        who = "All fields" if loose.sum() >= n_fields - 1 else _listed(poses.numbers[loose].tolist())
+        yield (
+            f"{who} {'is' if loose.sum() == 1 else 'are'} placed by the stage along one direction: the overlaps there "
+            "show only lines along it."
+        )
 
 
 def _left_out(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> Iterator[str]:

@@ -19,6 +19,10 @@ Read = Callable[[HeightMap, slice, slice], RegisteredImage]
 
 _NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
 """The image repeats its border where a drifting field was not covered in all frames."""
+_PERCENT = np.float32(100)
+"""Unit of the logarithm of grey: a difference of 1 is one percent of the light."""
+_DARKEST = 0.015
+"""Grey below this part of the brightest is cut off: its logarithm would be that of noise."""
 _FOCUS_NOISE = 1e3
 """Height errors are correlated over a focus window instead of varying per pixel, so contrast alone counts."""
 _AROUND_PX = 31
@@ -48,6 +52,11 @@ class OverlapWindow:
         """Rows and columns of the nominal overlap; 0 or less where there is none."""
         rows, cols = self.common[0]
         return rows.stop - rows.start, cols.stop - cols.start
+
+    @property
+    def nominal(self) -> tuple[float, float]:
+        """Lag by the stage."""
+        return self.lag[0] + self.part[0], self.lag[1] + self.part[1]
 
     @classmethod
     def of(cls, first: HeightMap, second: HeightMap, reach: int, step: int) -> OverlapWindow:
@@ -84,8 +93,10 @@ def _part(first: int, second: int, offset: float, reach: int, step: int) -> _Par
 
 
 def picture_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
-    """Return the all-in-focus image."""
+    """Return the logarithm of the all-in-focus image, in hundredths, so that light only adds a smooth plane to it."""
     grey = np.asarray(height.all_in_focus[rows, cols]).astype(np.float32)
+    brightest = float(grey[::7, ::7].max(initial=0))
+    grey = _PERCENT * np.log(np.maximum(grey, np.float32(max(1.0, _DARKEST * brightest))))
     origin = height.origin[rows, cols]
     covered = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
     grey -= np.float32(grey[::7, ::7].mean(dtype=np.float64))

@@ -3,18 +3,29 @@
 The images are compared first: the normalised correlation of the true overlap at every shift within reach, at a quarter
 of the resolution. The best candidates are then refined to sub-pixel accuracy. Where the images are blank the heights
 are compared instead.
+
+A pattern that repeats fits at several shifts. All of them are kept, as candidates among which the poses of all fields
+choose (`candidate_choice`); the shift that was chosen is then measured by `refine`. Along lines a shift is
+undetermined; across them it is as good as any.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.surface.field_poses import ObservationSource, RejectionReason, Shifts
+from wafer_viewer.model.surface.field_poses import (
+    N_CANDIDATE,
+    ObservationSource,
+    RejectionReason,
+    Shifts,
+    padded_candidates,
+)
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.correlation import Likeness, contrast, normalised_cross_correlation
 from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align
@@ -57,6 +68,22 @@ class MatchSearchParameters:
         With more candidates than this the pattern may be finer than the search pixels, which are then halved.
     candidates : int
         Largest number of candidates that are refined.
+    patterned_factor : int
+        Binning factor at which the candidates of a pattern are compared, if more remain than `few`.
+    few : int
+        Largest number of candidates that are compared at full resolution.
+    stored : int
+        Largest number of candidates that are stored, those nearest to the stage position.
+    least_pitch_px : float, px
+        Smallest pitch of a lattice of candidates.
+    least_turn : float
+        Smallest sine of the angle between its two directions.
+    most_steps : int
+        Largest number of its steps to either side.
+    same_px : float, px
+        Distance, in determined directions, below which two candidates are one.
+    at_stage_px : float, px
+        Distance along lines from the stage position below which a match is not measured again there.
     """
 
     factors: tuple[int, ...] = (4, 2, 1)
@@ -69,6 +96,14 @@ class MatchSearchParameters:
     nearly: float = 0.35
     patterned: int = 6
     candidates: int = 60
+    patterned_factor: int = 2
+    few: int = 3
+    stored: int = 25
+    least_pitch_px: float = 4.0
+    least_turn: float = 0.3
+    most_steps: int = 8
+    same_px: float = 4.0
+    at_stage_px: float = 1.5
 
 
 MATCH_SEARCH = MatchSearchParameters()
@@ -86,14 +121,19 @@ class MatchAcceptanceParameters:
         Smallest correlation of a rival, relative to the best.
     unexplained : float
         Largest unexplained variance of a rival, relative to the best.
+    never_explained : float
+        Fraction of the variance that pixels, optics and light leave unexplained at any shift, at full resolution;
+        between binned pixels more is lost, with the square of the factor.
     least_agreeing : float
         Minimum fraction of the contrast where both images agree; rotated content agrees around one point only.
     most_bent_px : float, px
         Displacement of the ends of an overlap against its middle that indicates rotated content.
-    surely_bent : float
-        Significance of that displacement, in standard deviations.
+    bent_sigmas : float
+        Smallest significance of that displacement, in standard deviations.
+    surely_bent : float, px
+        Smallest product of that displacement and its significance: a large one needs less.
     most_u_px : float, px
-        Largest accepted uncertainty; along straight lines the position is undetermined, apart from noise.
+        Largest accepted uncertainty in a determined direction; more says no more than the stage.
     least_u_px : float, px
         Contribution of pixel shape and optics to the uncertainty, which no residual shows.
     """
@@ -101,10 +141,12 @@ class MatchAcceptanceParameters:
     surely_like: float = 0.9
     clearly: float = 0.8
     unexplained: float = 2.0
+    never_explained: float = 0.003
     least_agreeing: float = 0.5
-    most_bent_px: float = 1.0
-    surely_bent: float = 6.0
-    most_u_px: float = 0.5
+    most_bent_px: float = 0.6
+    bent_sigmas: float = 3.0
+    surely_bent: float = 3.5
+    most_u_px: float = 4.0
     least_u_px: float = 0.01
 
 
@@ -117,14 +159,33 @@ _BLANK = 0.88
 """In pure noise, pixels two apart differ as much as pixels eight apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
-    """Deviation of the second field from its stage position, (rows, cols) in px, with standard uncertainties."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A possible deviation, (rows, cols) in px, with its covariance [2, 2] and its misfit above the best, in nats."""
 
     off_px: Lag
-    u_px: Lag
+    covariance: NDArray[np.float64]
+    misfit_nats: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Deviation of the second field from its stage position, (rows, cols) in px, with its covariance [2, 2].
+
+    candidates: all deviations at which a repeating pattern fits, none where only one fits.
+    """
+
+    off_px: Lag
+    covariance: NDArray[np.float64]
     correlation: float
     doubt: RejectionReason
+    candidates: tuple[Candidate, ...] = ()
+
+    @property
+    def u_px(self) -> Lag:
+        """Standard uncertainties."""
+        u = np.sqrt(np.diag(self.covariance)).tolist()
+        return u[0], u[1]
 
 
 def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
@@ -143,8 +204,19 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
     if not lags:
         both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
         return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
-    fits = _refined(one, other, lags, factor, _block_side(window))
+    fits = _refined(one, other, lags, factor, window, reach_px)
     return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
+
+
+def match_near(first: HeightMap, second: HeightMap, read: Read) -> Match:
+    """Match the second field to the first next to its stage position, within about two pixels, without a search."""
+    factor = min(_coarsest(first, second), MATCH_SEARCH.patterned_factor)
+    window, _ = _window(first, second, LOOK_PX, factor)
+    if min(window.overlap) < MATCH_SEARCH.least_side / 2:
+        return _nowhere(RejectionReason.BLANK)
+    one, other = read(first, *window.first), read(second, *window.second)
+    fits = _refined(one, other, [window.nominal], factor, window, LOOK_PX)
+    return _judged(fits, False, window, LOOK_PX) if fits else _nowhere(RejectionReason.UNLIKE)
 
 
 def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
@@ -154,7 +226,7 @@ def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -
 
 
 def _nowhere(doubt: RejectionReason) -> Match:
-    return Match((0.0, 0.0), (float("inf"), float("inf")), 0.0, doubt)
+    return Match((0.0, 0.0), np.full((2, 2), np.inf), 0.0, doubt)
 
 
 def _coarsest(first: HeightMap, second: HeightMap) -> int:
@@ -201,17 +273,65 @@ def _peaks(likeness: Likeness, least_pixels: float, reach: int) -> tuple[list[tu
 
 
 def _refined(
-    one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, side: int
+    one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, window: OverlapWindow, reach_px: float
 ) -> list[SubpixelShift]:
-    """Refine all candidates, and the best fit with its rivals again at each finer resolution."""
+    """Refine all candidates, and the best fit with its rivals again at each finer resolution.
+
+    The many rivals of a pattern are not compared at full resolution: which one is right is not for them to decide.
+    Between binned pixels a candidate may be missed; where others lie on a lattice, its other points are compared too.
+    """
     fits: list[SubpixelShift] = []
     for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
-        levels = binned_valid(one, f), binned_valid(other, f)
-        fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
-        near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
-        fits = _with_rivals(near, 1.5 * factor)
+        if f < MATCH_SEARCH.patterned_factor and len(fits) > MATCH_SEARCH.few:
+            break
+        levels, side = (binned_valid(one, f), binned_valid(other, f)), max(6, _block_side(window) // f)
+
+        def near(lags: Sequence[Lag]) -> list[SubpixelShift]:
+            found = [_aligned(levels, lag, side, f, window.nominal) for lag in lags]  # noqa: B023 - used at once
+            return [fit for fit, lag in zip(found, lags, strict=True) if _apart(fit, lag) <= 2.0 * f]  # noqa: B023
+
+        fits = _with_rivals(near(lags))
+        if f == factor and len(fits) > 1:
+            fits = _with_rivals([*fits, *near(_missing(fits, window.nominal, reach_px))])
         lags = [fit.lag for fit in fits]
     return fits
+
+
+def _missing(fits: list[SubpixelShift], nominal: Lag, reach_px: float) -> list[Lag]:
+    """Return the points within reach, of the lattice that fits span, at which there is none yet."""
+    at = np.array([fit.lag for fit in fits])
+    steps = (at[:, None] - at[None]).reshape(-1, 2)
+    length = np.hypot(*steps.T)
+    steps = steps[np.argsort(length, kind="stable")][np.count_nonzero(length < MATCH_SEARCH.least_pitch_px) :]
+    if not len(steps):
+        return []
+    first = steps[0]
+    turned = np.abs(first[0] * steps[:, 1] - first[1] * steps[:, 0]) / np.hypot(*first) / np.hypot(*steps.T)
+    others = steps[turned > MATCH_SEARCH.least_turn]
+    n = int(min(2 * reach_px / np.hypot(*first), MATCH_SEARCH.most_steps)) + 1
+    counts = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1) if len(others) else 0), -1).reshape(-1, 2)
+    points = at[0] + counts[:, :1] * first + counts[:, 1:] * (others[0] if len(others) else 0)
+    within = np.abs(points - nominal).max(axis=1) <= reach_px
+    known = np.hypot(*(points[:, None] - at[None]).transpose(2, 0, 1)).min(axis=1) < MATCH_SEARCH.least_pitch_px
+    return [(float(r), float(c)) for r, c in points[within & ~known]]
+
+
+def _aligned(
+    levels: tuple[RegisteredImage, RegisteredImage], lag: Lag, side: int, factor: int, nominal: Lag
+) -> SubpixelShift:
+    """Refine a lag on binned images; along lines it stays where the stage has it.
+
+    Far from there, an error of the direction of the lines would displace them.
+    """
+    fit = _scaled(align(*levels, (lag[0] / factor, lag[1] / factor), side, factor > 1), factor)
+    if fit.held.shape[1] != 1:
+        return fit
+    across = fit.held @ fit.held.T
+    at = nominal + across @ np.subtract(fit.lag, nominal)
+    if np.hypot(*(at - fit.lag)) < MATCH_SEARCH.at_stage_px:
+        return fit
+    again = align(*levels, (float(at[0]) / factor, float(at[1]) / factor), side, factor > 1)
+    return _scaled(again, factor)
 
 
 def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
@@ -225,48 +345,68 @@ def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
         fit.bent_px * factor,
         fit.bent_sigmas,
         fit.n_pixels * factor**2,
+        fit.n_blocks,
+        fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**2,
     )
 
 
-def _distance(a: Lag, b: Lag) -> float:
-    return max(abs(a[0] - b[0]), abs(a[1] - b[1]))
+def _apart(fit: SubpixelShift, lag: Lag) -> float:
+    """Return the distance of a fit from a lag in its determined directions, in pixels."""
+    off = fit.held.T @ np.subtract(fit.lag, lag) if np.isfinite(fit.covariance).all() else np.subtract(fit.lag, lag)
+    return float(np.hypot.reduce(off)) if off.size else 0.0
 
 
-def _with_rivals(fits: list[SubpixelShift], apart_px: float) -> list[SubpixelShift]:
-    """Return the best fit, and fits elsewhere that are nearly as good."""
-    if not fits:
-        return []
-    best = max(
-        fits, key=lambda fit: (fit.agreeing >= MATCH_ACCEPTANCE.least_agreeing, fit.correlation * fit.n_pixels**0.5)
-    )
-    return [best, *(fit for fit in fits if _distance(fit.lag, best.lag) > apart_px and _nearly(fit, best))]
+def _with_rivals(fits: list[SubpixelShift]) -> list[SubpixelShift]:
+    """Return the best fit, and fits elsewhere that are nearly as good, the best first."""
+    kept: list[SubpixelShift] = []
+    for fit in sorted(
+        fits, key=lambda fit: (fit.agreeing < MATCH_ACCEPTANCE.least_agreeing, fit.n_blocks * math.log(fit.unexplained))
+    ):
+        if not kept or (_nearly(fit, kept[0]) and min(_apart(other, fit.lag) for other in kept) > MATCH_SEARCH.same_px):
+            kept.append(fit)
+    return kept
 
 
 def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
-    unexplained, least = 1 - fit.correlation**2, 1 - best.correlation**2
     agrees = fit.agreeing >= MATCH_ACCEPTANCE.least_agreeing or best.agreeing < MATCH_ACCEPTANCE.least_agreeing
     return (
         agrees
         and fit.correlation > MATCH_ACCEPTANCE.clearly * best.correlation
-        and unexplained < MATCH_ACCEPTANCE.unexplained * least
+        and fit.unexplained < MATCH_ACCEPTANCE.unexplained * best.unexplained
     )
 
 
 def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, reach_px: float) -> Match:
     best = fits[0]
-    off = tuple(at - lag - part for at, lag, part in zip(best.lag, window.lag, window.part, strict=True))
-    u = tuple(np.sqrt(np.diag(best.covariance) + MATCH_ACCEPTANCE.least_u_px**2).tolist())
-    doubt = _doubt(fits, by_chance, max(map(abs, off)) > reach_px)
-    return Match((off[0], off[1]), (u[0], u[1]), best.correlation, doubt)
+    found = [_candidate(fit, best, window) for fit in fits]
+    doubt = _doubt(fits, by_chance, max(map(abs, found[0].off_px)) > reach_px)
+    rivals = tuple(sorted(found, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
+    is_open = doubt is RejectionReason.AMBIGUOUS and len(fits) > 1
+    return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, rivals if is_open else ())
+
+
+def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -> Candidate:
+    """Return the deviation of a fit from the stage, which alone counts along lines."""
+    off = np.subtract(np.subtract(fit.lag, window.lag), window.part)
+    if np.isfinite(fit.covariance).all():
+        off = fit.held @ fit.held.T @ off
+    covariance = fit.covariance + MATCH_ACCEPTANCE.least_u_px**2 * np.eye(2)
+    misfit_nats = max(0.0, 0.5 * fit.n_blocks * math.log(fit.unexplained / best.unexplained))
+    return Candidate((float(off[0]), float(off[1])), covariance, misfit_nats)
 
 
 def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
     best = fits[0]
-    turned = best.bent_px > MATCH_ACCEPTANCE.most_bent_px and best.bent_sigmas > MATCH_ACCEPTANCE.surely_bent
+    bent = best.bent_px > MATCH_ACCEPTANCE.most_bent_px
+    significant = best.bent_sigmas > max(
+        MATCH_ACCEPTANCE.bent_sigmas, MATCH_ACCEPTANCE.surely_bent / max(best.bent_px, 1e-9)
+    )
+    turned = bent and significant
     if turned or best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
         return RejectionReason.UNLIKE
-    held = best.covariance.max() < MATCH_ACCEPTANCE.most_u_px**2
-    if not held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):
+    held = best.held.T @ best.covariance @ best.held if best.held.size else np.full((1, 1), np.inf)
+    is_held = float(np.linalg.eigvalsh(held)[-1]) < MATCH_ACCEPTANCE.most_u_px**2 if np.isfinite(held).all() else False
+    if not is_held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):
         return RejectionReason.AMBIGUOUS
     return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
 
@@ -297,22 +437,26 @@ REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
 Where both fields have structure but do not match there, the reach is 120 px or an eighth of the shorter side of a
 field.
 """
+LOOK_PX = 3.0
+"""Reach of a look at a shift that is known from the poses of all fields."""
 LEAST_MEASURED = 0.1
 """Minimum measured fraction; with fewer heights nothing was in focus, and the images are noise and may differ."""
 _LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PairShift:
-    """Lateral shift measured in one overlap; the fields have the meaning of those of `Shifts`."""
+    """Lateral shift measured in one overlap, with the meaning of the fields of `Shifts`."""
 
     x_um: float
     y_um: float
     u_x_um: float
     u_y_um: float
+    covariance_um2: float
     correlation: float
     by: ObservationSource
     doubt: RejectionReason
+    candidates: NDArray[np.float32]
 
 
 def register(
@@ -328,13 +472,39 @@ def register(
     possible overlap is read. progress receives the finished fraction (0 ... 1); an exception raised by it ends the
     work. threads: all cores if omitted.
     """
+
+    def one(n: int) -> PairShift:
+        first, second = heights[pairs[n, 0]], heights[pairs[n, 1]]
+        return register_pair(first, second, None if reach_um is None else reach_um / first.pixel_um)
+
+    return _each(one, pairs, threads, progress)
+
+
+def refine(
+    heights: Sequence[HeightMap],
+    pairs: NDArray[np.int32],
+    shift_um: NDArray[np.float64],
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Shifts:
+    """Measure shifts (x, y) that are known to about two pixels, [n, 2]; otherwise as `register`."""
+
+    def one(n: int) -> PairShift:
+        first, second = heights[pairs[n, 0]], heights[pairs[n, 1]]
+        return refine_pair(first, second, (float(shift_um[n, 0]), float(shift_um[n, 1])))
+
+    return _each(one, pairs, threads, progress)
+
+
+def _each(
+    work: Callable[[int], PairShift], pairs: NDArray[np.int32], threads: int | None, progress: Progress | None
+) -> Shifts:
     found: list[PairShift] = [_by_stage(RejectionReason.BLANK)] * len(pairs)
     done = 0
 
     def one(n: int) -> None:
         nonlocal done
-        first, second = heights[pairs[n, 0]], heights[pairs[n, 1]]
-        found[n] = register_pair(first, second, None if reach_um is None else reach_um / first.pixel_um)
+        found[n] = work(n)
         done += 1
         if progress is not None:
             progress(done / len(pairs))
@@ -355,6 +525,14 @@ def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = 
         return found
     wider = _within(first, second, wide_px)
     return wider if wider.doubt is RejectionReason.NONE else found
+
+
+def refine_pair(first: HeightMap, second: HeightMap, shift_um: tuple[float, float]) -> PairShift:
+    """Return the shift near one that is known to about two pixels, relative to the stage positions."""
+    x_um, y_um = shift_um
+    moved = replace(second, x0_um=second.x0_um + x_um, y0_um=second.y0_um + y_um)
+    found = _pair_shift(match_near(first, moved, picture_of), first.pixel_um, ObservationSource.PICTURE)
+    return replace(found, x_um=found.x_um + x_um, y_um=found.y_um + y_um)
 
 
 def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
@@ -378,19 +556,43 @@ def _measured_share(first: HeightMap, second: HeightMap) -> float:
 
 
 def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShift:
-    down, right = found.off_px
-    u_down, u_right = found.u_px
+    (down, right), (u_down, u_right) = found.off_px, found.u_px
     return PairShift(
-        right * pixel_um, -down * pixel_um, u_right * pixel_um, u_down * pixel_um, found.correlation, by, found.doubt
+        x_um=right * pixel_um,
+        y_um=-down * pixel_um,
+        u_x_um=u_right * pixel_um,
+        u_y_um=u_down * pixel_um,
+        covariance_um2=-float(found.covariance[0, 1]) * pixel_um**2,
+        correlation=found.correlation,
+        by=by,
+        doubt=found.doubt,
+        candidates=_listed(found.candidates, pixel_um),
     )
 
 
+def _listed(candidates: Sequence[Candidate], pixel_um: float) -> NDArray[np.float32]:
+    """Return candidates as rows of `Shifts.candidates`, [k, 6]."""
+    rows = np.full((len(candidates), N_CANDIDATE), np.nan, np.float32)
+    for row, one in zip(rows, candidates, strict=True):
+        (down, right), precision = one.off_px, np.linalg.inv(one.covariance) / pixel_um**2
+        row[:] = (
+            right * pixel_um,
+            -down * pixel_um,
+            precision[1, 1],
+            -precision[0, 1],
+            precision[0, 0],
+            one.misfit_nats,
+        )
+    return rows
+
+
 def _by_stage(doubt: RejectionReason) -> PairShift:
-    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, ObservationSource.STAGE, doubt)
+    nothing = np.zeros((0, N_CANDIDATE), np.float32)
+    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, 0.0, ObservationSource.STAGE, doubt, nothing)
 
 
 def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
-    table = np.array([(f.x_um, f.y_um, f.u_x_um, f.u_y_um) for f in found], np.float64).reshape(-1, 4)
+    table = np.array([(f.x_um, f.y_um, f.u_x_um, f.u_y_um, f.covariance_um2) for f in found], np.float64).reshape(-1, 5)
     doubt = np.array([f.doubt for f in found], np.uint8)
     return Shifts(
         first=np.array(pairs[:, 0], np.int32),
@@ -399,10 +601,12 @@ def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
         y_um=table[:, 1].copy(),
         u_x_um=table[:, 2].copy(),
         u_y_um=table[:, 3].copy(),
+        covariance_um2=np.nan_to_num(table[:, 4], nan=0.0, posinf=0.0, neginf=0.0),
         correlation=np.array([f.correlation for f in found], np.float32),
         by=np.array([f.by for f in found], np.uint8),
         doubt=doubt,
         weight=(doubt == RejectionReason.NONE).astype(np.float32),
         residual_x_um=np.zeros(len(pairs)),
         residual_y_um=np.zeros(len(pairs)),
+        candidates=padded_candidates([f.candidates for f in found]),
     )

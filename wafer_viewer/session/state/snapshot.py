@@ -267,7 +267,8 @@ class StitchingInfo:
     doubts: reasons for rejected overlaps, as text, with their number, the most frequent first. moved: distance of
     fields from their stage positions. step: remaining z step between neighbours; None if no overlap is compared. form:
     the terms of the overall form that only the stage determines, each with its U. left_out: numbers of fields that fit
-    none of their neighbours. n_by_stage: number of fields that overlap others and are placed by the stage alone.
+    none of their neighbours. n_by_stage: number of fields that overlap others and are placed by the stage alone;
+    n_periodic: of the accepted overlaps with a repeating pattern, whose period the stage helped to choose.
     """
 
     n_overlaps: int
@@ -286,6 +287,7 @@ class StitchingInfo:
     left_out: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
     n_by_stage: int = 0
+    n_periodic: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,6 +56,7 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
         left_out=tuple(poses.numbers[poses.left_out].tolist()),
         notes=poses.notes,
         n_by_stage=int(placed_by_stage(poses).sum()),
+        n_periodic=int((shifts.repeats & shifts.believed).sum()),
     )
 
 

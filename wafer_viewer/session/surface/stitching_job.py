@@ -86,6 +86,15 @@ class _Tasks:
         results = self._each(register_pairs, items, 0.0, 0.7 * OVERLAP_SHARE)
         return _of_fields(joined(results), pairs) if results else no_shifts()
 
+    def refine(self, pairs: NDArray[np.int32], shift_um: NDArray[np.float64]) -> Shifts:
+        """Measure shifts of pairs of fields that are known to about two pixels."""
+        from wafer_viewer.model.surface.field_poses import joined, no_shifts
+
+        parts = zip(_batches(pairs), _batches(shift_um), strict=True)
+        items = [(*self._names(part), shifts) for part, shifts in parts]
+        results = self._each(refine_pairs, items, 0.7 * OVERLAP_SHARE, 0.7 * OVERLAP_SHARE)
+        return _of_fields(joined(results), pairs) if results else no_shifts()
+
     def compare(self, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> HeightOffsets:
         """Compare the heights of pairs of fields, with the centres of all fields given."""
         from wafer_viewer.model.surface.field_poses import joined, no_seams
@@ -122,7 +131,7 @@ class _Tasks:
         return *self.inputs.name, numbers, local.reshape(pairs.shape).astype(np.int32)
 
 
-def _batches(pairs: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+def _batches(pairs: NDArray[Any]) -> list[NDArray[Any]]:
     return [pairs[i : i + PAIRS_A_TASK] for i in range(0, len(pairs), PAIRS_A_TASK)]
 
 
@@ -139,7 +148,9 @@ def _solve_poses(tasks: _Tasks, previous: PreviousSolution, final: bool) -> Pose
 
     inputs, stitching = tasks.inputs, tasks.inputs.recipe.stitching
     fields = FieldsToPlace.of(inputs.outlines, inputs.numbers, inputs.marks, stitching, previous, final=final)
-    return find_poses(fields, OverlapObservers(tasks.register, tasks.compare, inputs.surfaces.__getitem__))
+    return find_poses(
+        fields, OverlapObservers(tasks.register, tasks.refine, tasks.compare, inputs.surfaces.__getitem__)
+    )
 
 
 def register_pairs(
@@ -150,6 +161,16 @@ def register_pairs(
     from wafer_viewer.session.surface.stitching_inputs import surfaces_of
 
     return register(surfaces_of(dataset, result, numbers), pairs, reach_um, threads=1)
+
+
+def refine_pairs(
+    dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], shift_um: NDArray[np.float64]
+) -> Shifts:
+    """Measure known shifts of some fields more precisely, as a worker's task."""
+    from wafer_viewer.reconstruct.registration.pair_registration import refine
+    from wafer_viewer.session.surface.stitching_inputs import surfaces_of
+
+    return refine(surfaces_of(dataset, result, numbers), pairs, shift_um, threads=1)
 
 
 def compare_pairs(

@@ -7,7 +7,7 @@ import dataclasses
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_candidates
 from wafer_viewer.store.io.atomic_files import atomic_write
 from wafer_viewer.store.io.checksums import remedy, require_good_archive, seal_archive
 
@@ -30,6 +30,13 @@ _UNREADABLE = (
     *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
 _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form": Form}
+
+
+_LATER: dict[str, Callable[[Any], NDArray[Any]]] = {
+    "shifts.covariance_um2": lambda arrays: np.zeros(len(arrays["shifts.first"])),
+    "shifts.candidates": lambda arrays: no_candidates(len(arrays["shifts.first"])),
+}
+"""Values of columns that files of earlier versions do not have."""
 
 
 def write_poses(poses: Poses, path: Path) -> None:
@@ -85,7 +92,8 @@ def _built(kind: type[Any], arrays: Any, prefix: str, **given: Any) -> Any:
     values = dict(given)
     for item in dataclasses.fields(kind):
         if item.name not in given:
-            values[item.name] = _value(arrays[prefix + item.name], str(item.type))
+            key = prefix + item.name
+            values[item.name] = _value(arrays[key] if key in arrays else _LATER[key](arrays), str(item.type))
     return kind(**values)
 
 
