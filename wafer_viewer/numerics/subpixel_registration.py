@@ -206,23 +206,24 @@ class BlockGradients:
     trust: Numbers
 
 
-def block_gradients(sums: Numbers, index: NDArray[np.intp], place: Numbers) -> BlockGradients:
+def block_gradients(sums: Numbers, index: NDArray[np.intp], place: Numbers, noise: float) -> BlockGradients:
     """Return the block gradients with a separate brightness and contrast per block, so only a shift remains.
 
     The brightness has a slope along both axes: light that falls off to the corners of a field differs between the two
-    pictures of an overlap. The contrast is the ratio of the deviations of both pictures: that of a regression would be
-    too small under noise, and move an edge that lies across the border.
+    pictures of an overlap. The contrast is that of a regression, which noise (standard deviation of a pixel of the
+    second picture) reduces, less this reduction: too small a contrast would move an edge that lies across the border.
     """
     n = sums[:, 0, 0]
     spread = _without_shading(sums)
     first, second, both = np.maximum(spread[:, 0, 0], 0), np.maximum(spread[:, 1, 1], 0), spread[:, 0, 1]
     room = np.maximum(second, 1e-9 * n)
-    gain = np.where(both > 0, np.sqrt(first / room), 0.0)
-    alike = np.maximum(both, 0) ** 2 / np.maximum(first * room, 1e-30)
-    weight = n / np.maximum(first - np.maximum(both, 0) ** 2 / room, 1e-9 * n)
+    regressed = np.maximum(both, 0) / room
+    gain = np.maximum(both, 0) / np.maximum(room - n * (_SMOOTHED * noise) ** 2, room / 2)
+    weight = n / np.maximum(first - regressed * np.maximum(both, 0), 1e-9 * n)
     weight = weight / (1 + weight / (4 * np.median(weight))) if len(weight) else weight
-    trust = weight * alike * gain**2
-    pull = -(weight * alike * gain)[:, None] * (spread[:, 0, 2:] - gain[:, None] * spread[:, 1, 2:])
+    trust = weight * regressed**2
+    per_gain = np.divide(trust, gain, out=np.zeros_like(trust), where=gain > 0)
+    pull = -per_gain[:, None] * (spread[:, 0, 2:] - gain[:, None] * spread[:, 1, 2:])
     stiffness = trust[:, None, None] * spread[:, 2:, 2:]
     return BlockGradients(index, place, n, first, second, both, pull, stiffness, trust)
 
@@ -556,4 +557,4 @@ def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: 
     flat = sums.reshape(-1, *sums.shape[2:])
     pixels = flat[:, 0, 0]
     enough = pixels > max(ALIGNMENT.least_filled * pixels.max(initial=0), ALIGNMENT.least_pixels)
-    return block_gradients(flat[enough], index[enough], place[enough])
+    return block_gradients(flat[enough], index[enough], place[enough], second.noise)
