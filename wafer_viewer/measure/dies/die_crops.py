@@ -29,8 +29,8 @@ MARGIN_PX = 4
 """Margin read around a patch for its interpolation, in pixels of the patch."""
 DETAIL_PX = 15
 """Window of the high-pass before alignment, px; slower brightness changes do not locate a patch."""
-BLOCK_PX = 40
-"""Side of the blocks of the subpixel alignment, px."""
+BLOCK_PX = 15
+"""Side of the blocks of the subpixel alignment, px: one that holds a defect then counts little beside the others."""
 LEAST_SIMILARITY = 0.35
 """Correlation below which two patches do not show the same place."""
 AS_GOOD = 0.95
