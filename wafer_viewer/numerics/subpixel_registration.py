@@ -338,8 +338,10 @@ class AlignmentParameters:
     anisotropic : float
         Stiffness of a direction beyond that of noise, relative to the other, below which it may be undetermined, as
         along lines.
-    loose_noise, loose_fraction : float
-        Stiffness of such a direction, in that of noise and relative to the other, above which it is determined.
+    loose_noise : float
+        Stiffness of such a direction, in that of noise, above which it is determined.
+    loose_fraction : float
+        The same, relative to the other direction.
     surely_rises : float, per px
         Smallest rise of the misfit in that direction, in the scatter of its gradient; a random picture rises by 1, at
         its best place by 2.
@@ -477,7 +479,7 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """How the misfit of two pictures rises about a lag.
+    """Rise of the misfit of two pictures about a lag.
 
     held: unit vectors of the directions in which it rises, [2, k]: one of lines, both of anything else; measured: its
     Hessian by differences, where the slopes in one direction are mostly those of noise; None elsewhere.

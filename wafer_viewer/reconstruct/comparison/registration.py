@@ -30,7 +30,7 @@ from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
-from wafer_viewer.reconstruct.registration.pair_registration import match
+from wafer_viewer.reconstruct.registration.picture_match import match
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,164 @@
+"""Overlaps with all the offsets at which they fit, as a graph of fields, and the limits of the choice among these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface.field_poses import Numbers, RejectionReason, Shifts
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceParameters:
+    """Prior of the stage's errors and limits of the choice.
+
+    Parameters
+    ----------
+    scatter_px : float, px
+        Scatter of the stage before it is estimated.
+    scatter_of_pitch : float
+        The same, as the largest part of the spacing of the candidates.
+    usually : int, fields
+        Weight of that scatter where it is estimated.
+    enough_fields : int
+        Number of fields from which it is estimated, and limited by the pitch; fewer do not show how good a stage is.
+    least_scatter_px : float, px
+        Smallest scatter of the stage.
+    offset_px : float, px
+        Standard deviation of an offset that all fields share.
+    turn : float, rad, and fraction
+        Standard deviation of the turn and of the scale of the stage against the camera.
+    backlash_px : float, px
+        Standard deviation of the offset of every second row and column.
+    slack_px : float, px
+        Uncertainty added to a candidate: it was compared at half of the resolution, and neighbours may still move.
+    most_candidate_nats : float
+        Largest misfit of a candidate.
+    most_overlap_nats : float
+        Largest cost of an overlap: one that fits nowhere says no more.
+    sure_nats : float
+        Log odds of a field's place against any other above which it is believed: 150 to 1.
+    near_px : float, px
+        Largest distance between a candidate and the places of its fields.
+    most_of_pitch : float
+        Scatter of the stage, relative to the spacing of the candidates, above which nothing is chosen.
+    decides_nats : float
+        Misfit of the second best candidate above which pictures decide without the stage.
+    most_sweeps : int
+        Largest number of times that all fields are placed again.
+
+    Notes
+    -----
+    `tests/bench/bench_grids.py` shows the errors that remain; its seeds below 1000 set the limits.
+    """
+
+    scatter_px: float = 6.0
+    scatter_of_pitch: float = 0.15
+    usually: int = 4
+    enough_fields: int = 12
+    least_scatter_px: float = 0.3
+    offset_px: float = 30.0
+    turn: float = 0.005
+    backlash_px: float = 6.0
+    slack_px: float = 0.3
+    most_candidate_nats: float = 6.0
+    most_overlap_nats: float = 12.0
+    sure_nats: float = 5.0
+    near_px: float = 2.5
+    most_of_pitch: float = 0.18
+    decides_nats: float = 3.0
+    most_sweeps: int = 8
+
+
+CHOICE = ChoiceParameters()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandidateGraph:
+    """Overlaps with their candidates, in pixels.
+
+    overlap: rows of `Shifts`, [e]; first, second: fields, [e]; offset: [e, k, 2]; precision: [e, k, 3] of (xx, xy, yy);
+    misfit: [e, k] in nats, infinite where there is no candidate; ends, edges: the overlaps of each field, as in a
+    sparse matrix.
+    """
+
+    overlap: NDArray[np.intp]
+    first: Ints
+    second: Ints
+    offset: Numbers
+    precision: Numbers
+    misfit: Numbers
+    ends: Ints
+    edges: Ints
+
+    @classmethod
+    def of(cls, n: int, shifts: Shifts, pixel_um: float) -> CandidateGraph:
+        """Return the overlaps that fit anywhere; those at one offset only have one candidate."""
+        fits = np.isin(shifts.doubt, (RejectionReason.NONE, RejectionReason.DISAGREES)) | shifts.repeats
+        rows = np.flatnonzero(fits & np.isfinite(shifts.x_um) & (np.isfinite(shifts.u_x_um) | shifts.repeats))
+        table = _with_single(shifts, rows).astype(np.float64)
+        offset = table[:, :, :2] / pixel_um
+        precision = _with_slack(table[:, :, 2:5] * pixel_um**2)
+        misfit = np.where(np.isfinite(table[:, :, 5]), np.minimum(table[:, :, 5], CHOICE.most_candidate_nats), np.inf)
+        first, second = shifts.first[rows].astype(np.int64), shifts.second[rows].astype(np.int64)
+        both, number = np.concatenate((first, second)), np.tile(np.arange(len(rows)), 2)
+        order = np.argsort(both, kind="stable")
+        ends = np.concatenate(([0], np.cumsum(np.bincount(both, minlength=n))))
+        return cls(rows, first, second, np.nan_to_num(offset), np.nan_to_num(precision), misfit, ends, number[order])
+
+    @property
+    def spacing_px(self) -> float:
+        """Median distance of the nearest two candidates of the overlaps with several; infinite without."""
+        known = np.isfinite(self.misfit)
+        several = known.sum(axis=1) > 1
+        offset = np.where(known[several, :, None], self.offset[several], np.nan)
+        apart = np.hypot(*np.moveaxis(offset[:, :, None] - offset[:, None], -1, 0))
+        apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.inf
+        return float(np.median(np.nanmin(apart, axis=(1, 2)))) if several.any() else np.inf
+
+    @property
+    def decided_by_pictures(self) -> float:
+        """Median misfit of the second best candidate, in nats."""
+        several = np.isfinite(self.misfit).sum(axis=1) > 1
+        return float(np.median(np.sort(self.misfit[several], axis=1)[:, 1])) if several.any() else np.inf
+
+
+def _with_single(shifts: Shifts, rows: NDArray[np.intp]) -> Numbers:
+    """Return the candidates of some overlaps, [e, k, 6], with the measured offset where a pattern does not repeat."""
+    table = shifts.candidates[rows].astype(np.float64)
+    single = ~shifts.repeats[rows]
+    only = rows[single]
+    covariance = np.empty((len(only), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = shifts.u_x_um[only] ** 2, shifts.u_y_um[only] ** 2
+    covariance[:, 0, 1] = covariance[:, 1, 0] = shifts.covariance_um2[only]
+    precision = np.linalg.inv(covariance)
+    table[single, 0] = np.column_stack(
+        (
+            *(shifts.x_um[only], shifts.y_um[only]),
+            *(precision[:, 0, 0], precision[:, 0, 1], precision[:, 1, 1]),
+            np.zeros(len(only)),
+        )
+    )
+    return table
+
+
+def _with_slack(precision: Numbers) -> Numbers:
+    """Return precisions (xx, xy, yy) with `ChoiceParameters.slack_px` added to the uncertainty."""
+    known = np.isfinite(precision).all(axis=-1)
+    full = np.zeros((*precision.shape[:-1], 2, 2))
+    full[..., 0, 0], full[..., 1, 1] = np.where(known, precision[..., 0], 0), np.where(known, precision[..., 2], 0)
+    full[..., 0, 1] = full[..., 1, 0] = np.where(known, precision[..., 1], 0)
+    slack = full @ np.linalg.inv(np.eye(2) + CHOICE.slack_px**2 * full)
+    return np.stack((slack[..., 0, 0], slack[..., 0, 1], slack[..., 1, 1]), axis=-1)
+
+
+def distance_px(precision: Numbers, off: Numbers) -> Numbers:
+    """Return the lengths of offsets [..., 2] in the directions that precisions (xx, xy, yy) determine."""
+    xx, xy, yy = np.moveaxis(precision, -1, 0)
+    strongest = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    weighted = xx * off[..., 0] ** 2 + 2 * xy * off[..., 0] * off[..., 1] + yy * off[..., 1] ** 2
+    return np.sqrt(np.maximum(weighted, 0) / np.maximum(strongest, 1e-30))

@@ -1,0 +1,415 @@
+"""Match of two overlapping pictures: the search for shifts at which they fit, and the judgement of these.
+
+The normalised correlation of the true overlap is computed at every shift within reach, at a quarter of the resolution.
+The best candidates are then refined to sub-pixel accuracy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface.field_poses import RejectionReason
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.numerics.correlation import Likeness, contrast, normalised_cross_correlation
+from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align
+from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, binned_valid
+
+LOOK_PX = 3.0
+"""Reach of a look at a shift that is known from the poses of all fields."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchSearchParameters:
+    """Limits of the search for places at which two images may match; search pixels are binned.
+
+    Parameters
+    ----------
+    factors : tuple[int, ...]
+        Binning factors of the search and of its refinement; the search takes the largest that suits the overlap.
+    finer : int
+        Binning factor of a second search, for fine patterns.
+    least_side : int, search pixels
+        Smallest width of an overlap; one of fewer than half as many pixels is not compared.
+    around : int, search pixels
+        Side of the square whose mean is subtracted before images are correlated.
+    least_share : float
+        Minimum fraction of the overlap at a shift that is searched.
+    sure_sigmas : float
+        Significance below which a match may be chance; the highest of several hundred correlations of unrelated images
+        is three to four deviations high.
+    like : float
+        Smallest correlation of a match that may be chance: coarse structures have few independent pixels and may
+        correlate by chance.
+    nearly : float
+        Minimum significance of a candidate relative to the best; fine patterns may lose half of it between search
+        pixels.
+    patterned : int
+        With more candidates than this the pattern may be finer than the search pixels, which are then halved.
+    candidates : int
+        Largest number of candidates that are refined.
+    patterned_factor : int
+        Binning factor at which the candidates of a pattern are compared, if more remain than `few`.
+    few : int
+        Largest number of candidates that are compared at full resolution.
+    stored : int
+        Largest number of candidates that are stored, those nearest to the stage position.
+    least_pitch_px : float, px
+        Smallest pitch of a lattice of candidates.
+    least_turn : float
+        Smallest sine of the angle between its two directions.
+    most_steps : int
+        Largest number of its steps to either side.
+    same_px : float, px
+        Distance, in determined directions, below which two candidates are one.
+    at_stage_px : float, px
+        Distance along lines from the stage position below which a match is not measured again there.
+    """
+
+    factors: tuple[int, ...] = (4, 2, 1)
+    finer: int = 2
+    least_side: int = 12
+    around: int = 11
+    least_share: float = 0.3
+    sure_sigmas: float = 7.0
+    like: float = 0.7
+    nearly: float = 0.35
+    patterned: int = 6
+    candidates: int = 60
+    patterned_factor: int = 2
+    few: int = 3
+    stored: int = 25
+    least_pitch_px: float = 4.0
+    least_turn: float = 0.3
+    most_steps: int = 8
+    same_px: float = 4.0
+    at_stage_px: float = 1.5
+
+
+MATCH_SEARCH = MatchSearchParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class MatchAcceptanceParameters:
+    """Limits that a refined match must keep.
+
+    Parameters
+    ----------
+    surely_like : float
+        Smallest correlation of a match that may be chance; below, it is ambiguous rather than unlike.
+    clearly : float
+        Smallest correlation of a rival, relative to the best.
+    unexplained : float
+        Largest unexplained variance of a rival, relative to the best.
+    never_explained : float
+        Fraction of the variance that pixels, optics and light leave unexplained at any shift, at full resolution;
+        between binned pixels more is lost, with the square of the factor.
+    least_agreeing : float
+        Minimum fraction of the contrast where both images agree; rotated content agrees around one point only.
+    most_bent_px : float, px
+        Displacement of the ends of an overlap against its middle that indicates rotated content.
+    bent_sigmas : float
+        Smallest significance of that displacement, in standard deviations.
+    surely_bent : float, px
+        Smallest product of that displacement and its significance: a large one needs less.
+    most_u_px : float, px
+        Largest accepted uncertainty in a determined direction; more says no more than the stage.
+    least_u_px : float, px
+        Contribution of pixel shape and optics to the uncertainty, which no residual shows.
+    """
+
+    surely_like: float = 0.9
+    clearly: float = 0.8
+    unexplained: float = 2.0
+    never_explained: float = 0.003
+    least_agreeing: float = 0.5
+    most_bent_px: float = 0.6
+    bent_sigmas: float = 3.0
+    surely_bent: float = 3.5
+    most_u_px: float = 4.0
+    least_u_px: float = 0.01
+
+
+MATCH_ACCEPTANCE = MatchAcceptanceParameters()
+_BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 24, 8, 32
+"""Approximate number of blocks into which a refinement divides an overlap, and limits of their side in pixels."""
+_LAGS = (2, 8)
+"""Distances at which the pixels of an image are compared, to detect structure, in pixels."""
+_BLANK = 0.88
+"""In pure noise, pixels two apart differ as much as pixels eight apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A possible deviation, (rows, cols) in px, with its covariance [2, 2] and its misfit above the best, in nats."""
+
+    off_px: Lag
+    covariance: NDArray[np.float64]
+    misfit_nats: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Deviation of the second field from its stage position, (rows, cols) in px, with its covariance [2, 2].
+
+    candidates: all deviations at which a repeating pattern fits, none where only one fits.
+    """
+
+    off_px: Lag
+    covariance: NDArray[np.float64]
+    correlation: float
+    doubt: RejectionReason
+    candidates: tuple[Candidate, ...] = ()
+
+    @property
+    def u_px(self) -> Lag:
+        """Standard uncertainties."""
+        u = np.sqrt(np.diag(self.covariance)).tolist()
+        return u[0], u[1]
+
+
+def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
+    """Match the second field to the first, within reach of the stage position."""
+    factor = _coarsest(first, second)
+    window, reach = _window(first, second, reach_px, factor)
+    if min(window.overlap) < MATCH_SEARCH.least_side / 2:
+        return _nowhere(RejectionReason.BLANK)
+    one, other = read(first, *window.first), read(second, *window.second)
+    lags, by_chance = _candidates(one, other, window, factor, reach)
+    if len(lags) > MATCH_SEARCH.patterned and factor > MATCH_SEARCH.finer:
+        factor = MATCH_SEARCH.finer
+        window, reach = _window(first, second, reach_px, factor)
+        one, other = read(first, *window.first), read(second, *window.second)
+        lags, by_chance = _candidates(one, other, window, factor, reach)
+    if not lags:
+        both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
+        return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
+    fits = _refined(one, other, lags, factor, window, reach_px)
+    return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
+
+
+def match_near(first: HeightMap, second: HeightMap, read: Read) -> Match:
+    """Match the second field to the first next to its stage position, within about two pixels, without a search."""
+    factor = min(_coarsest(first, second), MATCH_SEARCH.patterned_factor)
+    window, _ = _window(first, second, LOOK_PX, factor)
+    if min(window.overlap) < MATCH_SEARCH.least_side / 2:
+        return _nowhere(RejectionReason.BLANK)
+    one, other = read(first, *window.first), read(second, *window.second)
+    fits = _refined(one, other, [window.nominal], factor, window, LOOK_PX)
+    return _judged(fits, False, window, LOOK_PX) if fits else _nowhere(RejectionReason.UNLIKE)
+
+
+def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
+    """Return the possible overlap, and the search reach in search pixels, including one spare pixel."""
+    reach = int(np.ceil(reach_px / factor)) + 1
+    return OverlapWindow.of(first, second, reach * factor, factor), reach
+
+
+def _nowhere(doubt: RejectionReason) -> Match:
+    return Match((0.0, 0.0), np.full((2, 2), np.inf), 0.0, doubt)
+
+
+def _coarsest(first: HeightMap, second: HeightMap) -> int:
+    """Return the binning factor of the search."""
+    side = min(OverlapWindow.of(first, second, 0, 1).overlap)
+    return next((f for f in MATCH_SEARCH.factors if side >= f * MATCH_SEARCH.least_side), 1)
+
+
+def _block_side(window: OverlapWindow) -> int:
+    """Return a block size that gives about two dozen blocks."""
+    area = max(window.overlap[0], 1) * max(window.overlap[1], 1)
+    return int(np.clip((area / _BLOCKS) ** 0.5, _LEAST_BLOCK, _LARGEST_BLOCK))
+
+
+def _candidates(
+    one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
+) -> tuple[list[Lag], bool]:
+    """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
+    one, other = binned_valid(one, factor), binned_valid(other, factor)
+    valids = one.valid > 0, other.valid > 0
+    details = (
+        contrast(one.values, valids[0], MATCH_SEARCH.around),
+        contrast(other.values, valids[1], MATCH_SEARCH.around),
+    )
+    middle = window.lag[0] // factor, window.lag[1] // factor
+    likeness = normalised_cross_correlation(details[0], valids[0], details[1], valids[1], middle, reach)
+    least = MATCH_SEARCH.least_share * window.overlap[0] * window.overlap[1] / factor**2
+    peaks, by_chance = _peaks(likeness, least, reach)
+    return [((r + middle[0]) * factor, (c + middle[1]) * factor) for r, c in peaks], by_chance
+
+
+def _peaks(likeness: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
+    """Return the highest local maxima relative to the middle, none without correlation, and the chance flag."""
+    from wafer_viewer.numerics.filters.sliding_filters import highest
+
+    sigmas = np.where(likeness.pixels >= least_pixels, likeness.sigmas, 0.0)
+    top = float(sigmas.max())
+    by_chance = top < MATCH_SEARCH.sure_sigmas
+    if by_chance and float(likeness.correlation[sigmas == top].max()) < MATCH_SEARCH.like:
+        return [], by_chance
+    rows, cols = np.nonzero((sigmas == highest(sigmas, 3)) & (sigmas >= MATCH_SEARCH.nearly * top))
+    order = np.argsort(-sigmas[rows, cols], kind="stable")[: MATCH_SEARCH.candidates]
+    return [(int(rows[n]) - reach, int(cols[n]) - reach) for n in order], by_chance
+
+
+def _refined(
+    one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, window: OverlapWindow, reach_px: float
+) -> list[SubpixelShift]:
+    """Refine all candidates, and the best fit with its rivals again at each finer resolution.
+
+    The many rivals of a pattern are not compared at full resolution: which one is right is not for them to decide.
+    Between binned pixels a candidate may be missed; where others lie on a lattice, its other points are compared too.
+    """
+    fits: list[SubpixelShift] = []
+    for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
+        if f < MATCH_SEARCH.patterned_factor and len(fits) > MATCH_SEARCH.few:
+            break
+        levels, side = (binned_valid(one, f), binned_valid(other, f)), max(6, _block_side(window) // f)
+
+        def near(lags: Sequence[Lag]) -> list[SubpixelShift]:
+            found = [_aligned(levels, lag, side, f, window.nominal) for lag in lags]  # noqa: B023 - used at once
+            return [fit for fit, lag in zip(found, lags, strict=True) if _apart(fit, lag) <= 2.0 * f]  # noqa: B023
+
+        fits = _with_rivals(near(lags))
+        if f == factor and len(fits) > 1:
+            fits = _with_rivals([*fits, *near(_missing(fits, window.nominal, reach_px))])
+        lags = [fit.lag for fit in fits]
+    return fits
+
+
+def _missing(fits: list[SubpixelShift], nominal: Lag, reach_px: float) -> list[Lag]:
+    """Return the points within reach, of the lattice that fits span, at which there is none yet."""
+    at = np.array([fit.lag for fit in fits])
+    steps = (at[:, None] - at[None]).reshape(-1, 2)
+    length = np.hypot(*steps.T)
+    steps = steps[np.argsort(length, kind="stable")][np.count_nonzero(length < MATCH_SEARCH.least_pitch_px) :]
+    if not len(steps):
+        return []
+    first = steps[0]
+    turned = np.abs(first[0] * steps[:, 1] - first[1] * steps[:, 0]) / np.hypot(*first) / np.hypot(*steps.T)
+    others = steps[turned > MATCH_SEARCH.least_turn]
+    n = int(min(2 * reach_px / np.hypot(*first), MATCH_SEARCH.most_steps)) + 1
+    counts = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1) if len(others) else 0), -1).reshape(-1, 2)
+    points = at[0] + counts[:, :1] * first + counts[:, 1:] * (others[0] if len(others) else 0)
+    within = np.abs(points - nominal).max(axis=1) <= reach_px
+    known = np.hypot(*(points[:, None] - at[None]).transpose(2, 0, 1)).min(axis=1) < MATCH_SEARCH.least_pitch_px
+    return [(float(r), float(c)) for r, c in points[within & ~known]]
+
+
+def _aligned(
+    levels: tuple[RegisteredImage, RegisteredImage], lag: Lag, side: int, factor: int, nominal: Lag
+) -> SubpixelShift:
+    """Refine a lag on binned images; along lines it stays where the stage has it.
+
+    Far from there, an error of the direction of the lines would displace them.
+    """
+    fit = _scaled(align(*levels, (lag[0] / factor, lag[1] / factor), side, factor > 1), factor)
+    if fit.held.shape[1] != 1:
+        return fit
+    across = fit.held @ fit.held.T
+    at = nominal + across @ np.subtract(fit.lag, nominal)
+    if np.hypot(*(at - fit.lag)) < MATCH_SEARCH.at_stage_px:
+        return fit
+    again = align(*levels, (float(at[0]) / factor, float(at[1]) / factor), side, factor > 1)
+    return _scaled(again, factor)
+
+
+def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
+    """Convert a fit to full pixels."""
+    lag = fit.lag[0] * factor, fit.lag[1] * factor
+    return SubpixelShift(
+        lag,
+        fit.covariance * factor**2,
+        fit.correlation,
+        fit.agreeing,
+        fit.bent_px * factor,
+        fit.bent_sigmas,
+        fit.n_pixels * factor**2,
+        fit.n_blocks,
+        fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**2,
+    )
+
+
+def _apart(fit: SubpixelShift, lag: Lag) -> float:
+    """Return the distance of a fit from a lag in its determined directions, in pixels."""
+    off = fit.held.T @ np.subtract(fit.lag, lag) if np.isfinite(fit.covariance).all() else np.subtract(fit.lag, lag)
+    return float(np.hypot.reduce(off)) if off.size else 0.0
+
+
+def _with_rivals(fits: list[SubpixelShift]) -> list[SubpixelShift]:
+    """Return the best fit, and fits elsewhere that are nearly as good, the best first."""
+    kept: list[SubpixelShift] = []
+    for fit in sorted(
+        fits, key=lambda fit: (fit.agreeing < MATCH_ACCEPTANCE.least_agreeing, fit.n_blocks * math.log(fit.unexplained))
+    ):
+        if not kept or (_nearly(fit, kept[0]) and min(_apart(other, fit.lag) for other in kept) > MATCH_SEARCH.same_px):
+            kept.append(fit)
+    return kept
+
+
+def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
+    agrees = fit.agreeing >= MATCH_ACCEPTANCE.least_agreeing or best.agreeing < MATCH_ACCEPTANCE.least_agreeing
+    return (
+        agrees
+        and fit.correlation > MATCH_ACCEPTANCE.clearly * best.correlation
+        and fit.unexplained < MATCH_ACCEPTANCE.unexplained * best.unexplained
+    )
+
+
+def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, reach_px: float) -> Match:
+    best = fits[0]
+    found = [_candidate(fit, best, window) for fit in fits]
+    doubt = _doubt(fits, by_chance, max(map(abs, found[0].off_px)) > reach_px)
+    rivals = tuple(sorted(found, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
+    is_open = doubt is RejectionReason.AMBIGUOUS and len(fits) > 1
+    return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, rivals if is_open else ())
+
+
+def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -> Candidate:
+    """Return the deviation of a fit from the stage, which alone counts along lines."""
+    off = np.subtract(np.subtract(fit.lag, window.lag), window.part)
+    if np.isfinite(fit.covariance).all():
+        off = fit.held @ fit.held.T @ off
+    covariance = fit.covariance + MATCH_ACCEPTANCE.least_u_px**2 * np.eye(2)
+    misfit_nats = max(0.0, 0.5 * fit.n_blocks * math.log(fit.unexplained / best.unexplained))
+    return Candidate((float(off[0]), float(off[1])), covariance, misfit_nats)
+
+
+def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
+    best = fits[0]
+    bent = best.bent_px > MATCH_ACCEPTANCE.most_bent_px
+    significant = best.bent_sigmas > max(
+        MATCH_ACCEPTANCE.bent_sigmas, MATCH_ACCEPTANCE.surely_bent / max(best.bent_px, 1e-9)
+    )
+    turned = bent and significant
+    if turned or best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
+        return RejectionReason.UNLIKE
+    held = best.held.T @ best.covariance @ best.held if best.held.size else np.full((1, 1), np.inf)
+    is_held = float(np.linalg.eigvalsh(held)[-1]) < MATCH_ACCEPTANCE.most_u_px**2 if np.isfinite(held).all() else False
+    if not is_held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):
+        return RejectionReason.AMBIGUOUS
+    return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
+
+
+def _has_structure(picture: RegisteredImage) -> bool:
+    """Return whether an image has structure beyond noise along both axes.
+
+    In structured images, nearby pixels are more alike than distant ones. A line alone leaves the position along it
+    undetermined.
+    """
+    near, far = _LAGS
+    return all(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
+
+
+def _difference(picture: RegisteredImage, lag: int, axis: int) -> float:
+    """Return the mean squared difference of known pixels that are `lag` apart along an axis."""
+    ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+    ahead[axis], behind[axis] = slice(lag, None), slice(None, -lag)
+    a, b = tuple(ahead), tuple(behind)
+    valid = picture.valid[a] * picture.valid[b]
+    off = (picture.values[a] - picture.values[b]) * valid
+    return float(np.vdot(off, off)) / max(1.0, float(valid.sum()))
