@@ -1,8 +1,8 @@
-"""Run shinestacker's depth map on a folder of frames: a program of its own, for it needs a newer Python than we do.
+"""Run shinestacker on a folder of frames: a program of its own, for it needs a newer Python than we do.
 
-    python tests/bench/peer_shinestacker.py FOLDER RESULT.npz
+    python tests/bench/peer_shinestacker.py FOLDER RESULT.npz ["depth map" | pyramid]
 
-Its settings are its own; RESULT holds frame, all_in_focus and seconds.
+Its settings are its own; RESULT holds all_in_focus, seconds and, by depth map, frame.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from shinestacker.algorithms.depth_map import DepthMapStack
+from shinestacker.algorithms.pyramid import PyramidStack
 
 
 class Recording(DepthMapStack):
@@ -36,13 +37,17 @@ class Nobody:
         return lambda *_, **__: True
 
 
-def main(folder: str, result: str) -> None:
-    method = Recording(max_threads=1)
+def main(folder: str, result: str, name: str = "depth map") -> None:
+    method = PyramidStack() if name == "pyramid" else Recording(max_threads=1)
     method.set_process(Nobody())
-    method.init([str(file) for file in sorted(Path(folder).glob("frame*.tif"))])
+    files = [str(file) for file in sorted(Path(folder).glob("frame*.tif"))]
+    method.init(files)
+    method.total_steps(len(files))
     began = time.perf_counter()
     picture = np.asarray(method.focus_stack())
-    np.savez(result, frame=np.vstack(method.best), all_in_focus=picture[..., 0], seconds=time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    frames = {} if name == "pyramid" else {"frame": np.vstack(method.best)}
+    np.savez(result, all_in_focus=picture[..., 0], seconds=seconds, **frames)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 
 WINDOW = 9
 INSTALL_OPENCV = "pip install opencv-python-headless"
+INSTALL_SHINESTACKER = "pip install shinestacker for a Python from 3.12 on, named by WAFER_VIEWER_SHINESTACKER_PYTHON"
 SHINESTACKER_PYTHON = os.environ.get("WAFER_VIEWER_SHINESTACKER_PYTHON", sys.executable)
 Sharpness = Callable[[NDArray], NDArray]
 
@@ -149,14 +150,25 @@ def focus_stack(stack: FieldStack) -> PeerResult:
     return PeerResult(np.abs(laplacians).argmax(axis=0), picture[..., 0], seconds)
 
 
-def shinestacker(stack: FieldStack) -> PeerResult:
-    """The depth map method of shinestacker with its own settings, in a Python of its own."""
+def shinestacker(stack: FieldStack, method: str = "depth map") -> PeerResult:
+    """A method of shinestacker with its own settings, in a Python of its own; its pyramid tells no frames."""
     with _as_files(stack) as files:
         folder = files[0].parent
         command = [SHINESTACKER_PYTHON, str(Path(__file__).with_name("peer_shinestacker.py")), str(folder)]
-        subprocess.run([*command, str(folder / "result.npz")], check=True, capture_output=True)
+        subprocess.run([*command, str(folder / "result.npz"), method], check=True, capture_output=True)
         found = np.load(folder / "result.npz")
-        return PeerResult(found["frame"], found["all_in_focus"], float(found["seconds"]))
+        frame = found["frame"] if method == "depth map" else None
+        return PeerResult(frame, found["all_in_focus"], float(found["seconds"]))
+
+
+def focusweave(stack: FieldStack) -> PeerResult:
+    """FocusWeave, fusion of Laplacian pyramids, without aligning the frames; it tells no frames."""
+    from focusweave import FocusStackConfig, run
+
+    images = [np.repeat(image[..., None], 3, axis=2) for image in stack.images]
+    began = time.perf_counter()
+    picture = run(FocusStackConfig(images=images, no_align=True, workers=1)).image
+    return PeerResult(None, picture[..., 0], time.perf_counter() - began)
 
 
 PEERS: dict[str, Peer] = {
@@ -171,12 +183,16 @@ PEERS: dict[str, Peer] = {
     "focus-stack (PyPI)": Peer(
         focus_stack, lambda: importable("cv2")() and importable("focus_stack")(), "pip install focus-stack"
     ),
-    "shinestacker, depth map": Peer(
-        shinestacker,
-        shinestacker_is_there,
-        "pip install shinestacker for a Python from 3.12 on, named by WAFER_VIEWER_SHINESTACKER_PYTHON",
-    ),
+    "shinestacker, depth map": Peer(shinestacker, shinestacker_is_there, INSTALL_SHINESTACKER),
 }
+"""Those that tell which frame each pixel is from."""
+
+PICTURE_PEERS: dict[str, Peer] = {
+    **{name: PEERS[name] for name in ("enfuse, hard mask", "focus-stack (PyPI)", "shinestacker, depth map")},
+    "shinestacker, pyramid": Peer(lambda s: shinestacker(s, "pyramid"), shinestacker_is_there, INSTALL_SHINESTACKER),
+    "FocusWeave, pyramid": Peer(focusweave, importable("focusweave"), "pip install focusweave"),
+}
+"""Those that make a picture in which all is in focus."""
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ scenes each, a flash and a dark frame in a tenth each. Tuning sees seeds below 1
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,11 @@ class Instrument:
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """A drawn scene: its stack, its true heights, and how far each pixel is from a wall; all [row, col]."""
+    """A drawn scene: its stack, its true heights, and how far each pixel is from a wall; all [row, col].
+
+    sharp_grey: the picture in which each pixel is in focus, in grey of the stack, without noise and without the faults
+    of frames.
+    """
 
     seed: int
     about: str
@@ -81,6 +85,7 @@ class Unseen:
     stack: FieldStack
     truth_um: NDArray[np.float32]
     wall_distance_px: NDArray[np.floating]
+    sharp_grey: NDArray[np.float32]
 
     @property
     def limit_um(self) -> float:
@@ -96,10 +101,12 @@ class Unseen:
         return inner & (self.wall_distance_px > BORDER_PX)
 
 
-def drawn_scene(seed: int, side: int = 256) -> Unseen:
-    """The scene of a seed, `side` pixels wide."""
+def drawn_scene(seed: int, side: int = 256, faults: bool = True) -> Unseen:
+    """The scene of a seed, `side` pixels wide. faults: False for the same scene without faults of the frames."""
     rng = np.random.default_rng((seed, 19))
     instrument = _instrument(rng)
+    if not faults:
+        instrument = replace(instrument, jitter_dof=0.0, drift_px=(0.0, 0.0), flicker=0.0, flashes=0, dark=0)
     return _bled(seed, side, instrument, rng) if seed % 2 == 0 else _traced(seed, side, instrument, rng)
 
 
@@ -223,6 +230,7 @@ def _shot(
 ) -> Unseen:
     """What the camera makes of light [k, row, col], given as a share of white."""
     n = len(z_um)
+    sharp_grey = 255 * _at_heights(light, z_um, truth_um).clip(0, 1)
     _drift(light, instrument.drift_px)
     light *= (1 + instrument.flicker * rng.standard_normal(n)).clip(0.5, 1.5).astype(np.float32)[:, None, None]
     faulty = rng.choice(n, instrument.flashes + instrument.dark, replace=False)
@@ -232,7 +240,18 @@ def _shot(
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=float(z_um[0]))
     depth_um = instrument.depth_of_field_um if instrument.aperture_known else 0.0
     stack = FieldStack(field, images, z_um, np.ones(n, bool), PIXEL_UM, simulated=True, depth_of_field_um=depth_um)
-    return Unseen(seed, about, instrument, stack, truth_um, wall_distance_px)
+    return Unseen(seed, about, instrument, stack, truth_um, wall_distance_px, sharp_grey)
+
+
+def _at_heights(
+    light: NDArray[np.float32], z_um: NDArray[np.float64], at_um: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The light [k, row, col] of each pixel at a height: a parabola through the three nearest frames."""
+    place = np.interp(at_um, z_um, np.arange(len(z_um)))
+    middle = np.rint(place).astype(int).clip(1, len(z_um) - 2)
+    t = (place - middle).astype(np.float32)
+    below, at, above = (np.take_along_axis(light, (middle + k)[None], axis=0)[0] for k in (-1, 0, 1))
+    return at + t * (above - below) / 2 + t**2 * ((above + below) / 2 - at)
 
 
 def _drift(light: NDArray[np.float32], drift_px: tuple[float, float]) -> None:

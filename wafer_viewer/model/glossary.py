@@ -120,7 +120,7 @@ GLOSSARY: tuple[Term, ...] = (
     Term(
         "all-in-focus picture",
         "Surface",
-        "Each pixel as in the frame in which it is sharpest.",
+        "Each pixel as it is with the focus at its height.",
         "",
         ("picture in focus",),
     ),

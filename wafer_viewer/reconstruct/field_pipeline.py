@@ -25,6 +25,7 @@ from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Or
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
+from wafer_viewer.reconstruct.focus.all_in_focus import FrameFit, all_in_focus, membrane
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import (
     FOCUS_WIDTH_DEPTHS,
@@ -32,7 +33,6 @@ from wafer_viewer.reconstruct.focus.peak_search import (
     search_field,
     wide_heights,
 )
-from wafer_viewer.reconstruct.focus.smooth_depth import SMOOTH_DEPTH, at_smooth_depth, membrane
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
@@ -269,7 +269,7 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
     """Return the height map with its layers, position and provenance."""
     stack, peaks = field.stack, corrected.gated.peaks
     health, jitter_note = frame_health(field, cleaned.z_raw_um)
-    picture = field.frames.as_stored_counts(smooth_picture(field, peaks, cleaned))
+    picture = field.frames.as_stored_counts(read_picture(field, peaks, cleaned))
     return HeightMap(
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
@@ -312,11 +312,11 @@ def uncertainty(
     return uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)
 
 
-def smooth_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) -> Image:
-    """Return the all-in-focus image, with a smooth depth where the focus curves hardly exceed noise."""
-    limit = field.tuned.gate.min_contrast + SMOOTH_DEPTH.over_noise
-    blank = (cleaned.origin >= UNMEASURED_FROM) & (peaks.contrast < limit)
-    return at_smooth_depth(peaks.all_in_focus, cleaned.z_um, blank, field.frames)
+def read_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) -> Image:
+    """Return the all-in-focus image, read at the cleaned heights."""
+    fit = FrameFit.of(field.frames, float(field.tuned.recipe.focus_width_um))
+    measured = cleaned.origin < UNMEASURED_FROM
+    return all_in_focus(peaks, cleaned.z_um, measured, field.tuned.gate.min_contrast, fit)
 
 
 def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[FrameHealth, tuple[str, ...]]:
