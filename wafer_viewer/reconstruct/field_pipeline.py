@@ -40,6 +40,7 @@ from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, 
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 from wafer_viewer.reconstruct.height_uncertainty import uncertainty_um
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
+from wafer_viewer.reconstruct.preprocess.frame_jitter import frame_jitter
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
 from wafer_viewer.reconstruct.z_jitter import jitter_effect_um
@@ -49,6 +50,9 @@ SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
 
 ENOUGH_TO_SETTLE = 0.2
 """Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""
+
+JITTER_TOLD = 0.04
+"""z jitter of single frames, in steps, from which a note tells it; less is in the uncertainties only."""
 
 
 def reconstruct(
@@ -329,13 +333,16 @@ def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[F
         return FrameHealth(), ()
     depth_um = frames.depth_of_field_um or float(field.tuned.recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS
     flicker_um = flicker_u_um(frames.flicker_rest, step_um, depth_um)
-    jitter_um = jitter_effect_um(z_raw_um, frames.z_um, depth_um)
+    jitter_um = max(
+        jitter_effect_um(z_raw_um, frames.z_um, depth_um),
+        jitter_u_um(frame_jitter(frames, depth_um).widened_um, step_um, depth_um),
+    )
     health = FrameHealth(u_jitter_um=jitter_um, u_flicker_um=flicker_um)
-    if jitter_um == 0:
-        return health, ()
     single_um = jitter_um / jitter_u_um(1.0, step_um, depth_um)
+    if single_um < JITTER_TOLD * step_um:
+        return health, ()
     note = (
-        f"The z of single frames jitters by {single_um:.2g} um or more (standard deviation), which adds "
+        f"The z of single frames jitters by about {single_um:.2g} um (standard deviation), which adds "
         f"{jitter_um:.2g} um to the standard uncertainty of heights: check the z axis for vibration."
     )
     return health, (note,)
