@@ -20,6 +20,7 @@ from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Laye
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.noise_bias import BIAS_SHARE
+from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.plane_faces import Area, Face, area_of, face_of, lattice_of
 from wafer_viewer.measure.base.robust_fit import plane_design
 from wafer_viewer.model.errors import MeasureError
@@ -107,12 +108,12 @@ def area_volume(
     area = area_of(reading, region, "region", "a volume")
     from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")
     border = _border(reading, area, region)
-    noise_um = NOISE_DEVIATIONS * border.sq_um
+    within_um = NOISE_DEVIATIONS * border.sq_um
     zero = np.asarray(border.plane.at(area.points.x_um, area.points.y_um)) if from_where == "border" else 0.0
     over = area.points.z_um - zero
-    noise_um3 = _noise_um3(border, area) if from_where == "border" else None
+    noise_um3 = _noise_um3(reading, border, area) if from_where == "border" else None
     hidden = _hidden(area, region, over)
-    above, below = (_side(reading, area, sign * over, sign * hidden, noise_um, noise_um3) for sign in (1, -1))
+    above, below = (_side(reading, area, sign * over, sign * hidden, within_um, noise_um3) for sign in (1, -1))
     return AreaVolume(
         **reading.result_fields(name, area.level, REFERENCES[from_where], *border.notes, *reading.not_in_budget()),
         region=region,
@@ -124,7 +125,7 @@ def area_volume(
         area=reading.quantity(area.um2, "um2", {"pixel scale": 2 * reading.u_pixel_scale * area.um2}),
         highest=reading.length(float(over.max()), None),
         lowest=reading.length(float(over.min()), None),
-        noise_um=noise_um,
+        noise_um=within_um,
         measured_fraction=area.measured_fraction,
     )
 
@@ -141,13 +142,15 @@ def _border(reading: MeasurementContext, area: Area, region: Region) -> Face:
     return face_of(reading, area.level, points)
 
 
-def _noise_um3(border: Face, area: Area) -> float:
+def _noise_um3(reading: MeasurementContext, border: Face, area: Area) -> float:
     """Return the standard uncertainty of the volume: that of all heights less that of the plane under them."""
     pixel_um2, n = area.pixel_um**2, len(area.points)
     gradient = plane_design(area.points, (border.plane.x_um, border.plane.y_um)).sum(axis=0)
     plane = WeightedHeights.of_fit(border.points, border.design, gradient)
     whole = WeightedHeights.of(area.points, np.ones(n))
-    return pixel_um2 * border.errors.scatter(WeightedHeights.joined((whole, plane.times(-1.0)))).widened
+    over = WeightedHeights.joined((whole, plane.times(-1.0)))
+    of_pixels_um = 0.0 if area.level else pixel_noise_um(reading, over)
+    return pixel_um2 * noise_um(border.errors.scatter(over), of_pixels_um)
 
 
 def _hidden(area: Area, region: Region, over: Floats) -> Floats:
@@ -198,17 +201,17 @@ class VolumeSide:
 
 
 def _side(
-    reading: MeasurementContext, area: Area, rises: Floats, hidden: Floats, noise_um: float, noise_um3: float | None
+    reading: MeasurementContext, area: Area, rises: Floats, hidden: Floats, within_um: float, noise_um3: float | None
 ) -> VolumeSide:
     """Return volume and area where `rises` are positive; pixels within the noise count on the larger side.
 
     hidden: rises of the unmeasured pixels, which count in the uncertainty only.
     """
-    beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
-    beyond_um3, opposite_um3 = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
-    within = float(rises[np.abs(rises) <= noise_um].sum()) if beyond_um3 >= opposite_um3 else 0.0
+    beyond, pixel_um2 = rises > within_um, area.pixel_um**2
+    beyond_um3, opposite_um3 = float(rises[beyond].sum()), -float(rises[rises < -within_um].sum())
+    within = float(rises[np.abs(rises) <= within_um].sum()) if beyond_um3 >= opposite_um3 else 0.0
     um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, beyond_um3 + within) * pixel_um2
-    hidden_um3 = float(hidden[hidden > noise_um].sum()) * pixel_um2
+    hidden_um3 = float(hidden[hidden > within_um].sum()) * pixel_um2
     volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, hidden_um3, noise_um3))
     return VolumeSide(volume, reading.quantity(um2, "um2", None))
 
