@@ -40,6 +40,8 @@ from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, 
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 from wafer_viewer.reconstruct.height_uncertainty import uncertainty_um
 from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
+from wafer_viewer.reconstruct.preprocess.frame_gaps import add_gaps, frame_gaps, worst_gap_u_um
+from wafer_viewer.reconstruct.preprocess.frame_jitter import frame_jitter
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
 from wafer_viewer.reconstruct.z_jitter import jitter_effect_um
@@ -49,6 +51,9 @@ SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
 
 ENOUGH_TO_SETTLE = 0.2
 """Fraction of measured pixels from which the settled recipe of a field may be reused for its neighbours."""
+
+JITTER_TOLD = 0.04
+"""z jitter of single frames, in steps, from which a note tells it; less is in the uncertainties only."""
 
 
 def reconstruct(
@@ -309,7 +314,8 @@ def uncertainty(
         noise_um = np.where(corrected.z_um == corrected.searched_um, noise_um, np.float32(np.nan))
     passes = focus_measures()[search.measure].passes
     between_um = interpolation_u_um(recipe.peak, field.frames.step_um, float(recipe.focus_width_um))
-    return uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)
+    u_um = uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)
+    return add_gaps(u_um, cleaned.z_raw_um, frame_gaps(field.frames.z_um, _depth_um(field)))
 
 
 def read_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) -> Image:
@@ -327,18 +333,27 @@ def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[F
     frames, step_um = field.frames, field.frames.step_um
     if field.tuned.recipe.peak == "argmax":
         return FrameHealth(), ()
-    depth_um = frames.depth_of_field_um or float(field.tuned.recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS
+    depth_um = _depth_um(field)
     flicker_um = flicker_u_um(frames.flicker_rest, step_um, depth_um)
-    jitter_um = jitter_effect_um(z_raw_um, frames.z_um, depth_um)
-    health = FrameHealth(u_jitter_um=jitter_um, u_flicker_um=flicker_um)
-    if jitter_um == 0:
-        return health, ()
+    jitter_um = max(
+        jitter_effect_um(z_raw_um, frames.z_um, depth_um),
+        jitter_u_um(frame_jitter(frames, depth_um).widened_um, step_um, depth_um),
+    )
+    gap_um = worst_gap_u_um(frame_gaps(frames.z_um, depth_um), z_raw_um)
+    health = FrameHealth(u_jitter_um=jitter_um, u_flicker_um=flicker_um, u_gap_um=gap_um)
     single_um = jitter_um / jitter_u_um(1.0, step_um, depth_um)
+    if single_um < JITTER_TOLD * step_um:
+        return health, ()
     note = (
-        f"The z of single frames jitters by {single_um:.2g} um or more (standard deviation), which adds "
+        f"The z of single frames jitters by about {single_um:.2g} um (standard deviation), which adds "
         f"{jitter_um:.2g} um to the standard uncertainty of heights: check the z axis for vibration."
     )
     return health, (note,)
+
+
+def _depth_um(field: PreparedField) -> float:
+    """Return the depth of field, by the width of the focus curves where the objective is unknown."""
+    return field.frames.depth_of_field_um or float(field.tuned.recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS
 
 
 # ------------------------------------------------------------------------------------------ recipes of a scan, warm-up

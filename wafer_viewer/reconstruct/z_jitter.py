@@ -3,7 +3,8 @@
 A frame that is off along z pulls all heights near it the same way. Where the surface is tilted or curved, the mean
 residual of a smooth fit per height shows that, alike in separate parts of the field; noise and form differ between the
 parts, and cancel in the product of their residuals. What repeats with every step is interpolation, not jitter. Slow
-deviations are fitted as form, so that the result is a lower bound. On level faces jitter does not show.
+deviations are fitted as form, so that the result is a lower bound. On level faces heights do not show jitter, but the
+frames do (`frame_jitter`).
 """
 
 from __future__ import annotations

@@ -98,6 +98,24 @@ def test_unmeasured_pixels_are_no_volume_and_are_reported():
     assert found.measured_fraction == pytest.approx(1 - 10 * PIXEL_UM / 80, abs=0.02)
 
 
+def test_the_uncertainty_covers_what_unmeasured_pixels_would_add():
+    whole, surface = area_volume(mesa(), FACE), mesa()
+    surface.z_raw_um[:, 100:110] = np.nan
+    found = area_volume(surface, FACE)
+    missing_um3 = whole.volume_above.value - found.volume_above.value
+    line = {line.name: line.u for line in found.volume_above.budget}["unmeasured part of the region"]
+    assert line == pytest.approx(0.75 * missing_um3, rel=0.05)
+    assert found.volume_above.expanded > missing_um3 > whole.volume_above.expanded
+    assert all(line.name != "unmeasured part of the region" for line in whole.volume_above.budget)
+
+
+def test_holes_in_level_ground_hide_no_volume():
+    surface = mesa(0.0, noise_um=0.1)
+    surface.z_raw_um[50:60, 100:110] = np.nan
+    names = [line.name for line in area_volume(surface, FACE).volume_above.budget]
+    assert "unmeasured part of the region" not in names
+
+
 def wavy(amplitude_um=1.0):
     """A whole number of waves along x and y on a tilted plane."""
     x_um, y_um = lattice()

@@ -9,11 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.reconstruct.conftest import MakeStack
+from wafer_viewer.measure.base.measurement_context import FLICKER, frame_lines_um
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.frame_health import flicker_u_um
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe
@@ -130,3 +132,13 @@ def test_a_live_field_that_flickers_is_searched_again(make_stack: MakeStack):
     found, whole = live.surface(stack), reconstruct(stack, recipe, threads=1)
     np.testing.assert_array_equal(found.z_raw_um, whole.z_raw_um)
     assert any("flickered" in note for note in found.provenance.notes)
+
+
+def test_flicker_that_is_left_alone_is_in_the_budget(make_stack: MakeStack):
+    flickering = lit(two_faces(make_stack, 5), gains_of(5))
+    corrected, left = (reconstruct(flickering, recipe, threads=1).provenance for recipe in (Recipe(), LEAVE))
+    depth_um = float(left.recipe.focus_width_um) / 1.2
+    expected_um = flicker_u_um(float(np.std(gains_of(5))), 2.0, depth_um)
+    assert left.frame_health.u_flicker_um == pytest.approx(expected_um, rel=0.3)
+    assert left.frame_health.u_flicker_um > 5 * corrected.frame_health.u_flicker_um
+    assert frame_lines_um(left)[FLICKER] == pytest.approx(2**0.5 * left.frame_health.u_flicker_um)

@@ -24,12 +24,13 @@ NOT_IN_BUDGET = (
 NOISE, Z_SCALE, LINEARITY, LEVELLING = "noise and form of the faces", "z scale", "z linearity", "levelling"
 DRIFT, POSES, INTERPOLATION = "drift during the scan", "poses of the fields", "interpolation between frames"
 Z_JITTER, FLICKER = "z jitter of the frames", "flicker of the light"
+GAPS = "frames missing or left out"
 WINDOW = "resolution of the focus window"
 WINDOW_BASE_PX2 = 1.5
 """Variance of the average that a focus measure takes besides its window, px2: errors of caps whose radius is known."""
 REPEATABILITY, TEMPERATURE, ABBE = "repeatability", "temperature", "Abbe offset"
 FLATNESS = "flatness deviation"
-OF_FRAMES = (INTERPOLATION, Z_JITTER, FLICKER)
+OF_FRAMES = (INTERPOLATION, Z_JITTER, FLICKER, GAPS)
 LINES = (NOISE, Z_SCALE, LINEARITY, FLATNESS, LEVELLING, DRIFT, POSES, *OF_FRAMES, REPEATABILITY, TEMPERATURE, ABBE)
 """All lines of a step's budget, in reporting order."""
 LESS_WITH_REPEATS = (NOISE, DRIFT, POSES, *OF_FRAMES, REPEATABILITY)
@@ -89,10 +90,11 @@ def interpolation_um(provenance: Provenance) -> float:
 
 
 def frame_lines_um(provenance: Provenance) -> dict[str, float]:
-    """Return the lines of a height difference that its frames cause; those of jitter and flicker only if they show."""
+    """Return the lines of a height difference that its frames cause; faults of the frames only if they show."""
     health = provenance.frame_health
-    seen = {Z_JITTER: math.sqrt(2) * health.u_jitter_um, FLICKER: math.sqrt(2) * health.u_flicker_um}
-    return {INTERPOLATION: interpolation_um(provenance), **{name: u for name, u in seen.items() if u > 0}}
+    seen = {Z_JITTER: health.u_jitter_um, FLICKER: health.u_flicker_um, GAPS: health.u_gap_um}
+    faults = {name: math.sqrt(2) * u_um for name, u_um in seen.items() if u_um > 0}
+    return {INTERPOLATION: interpolation_um(provenance), **faults}
 
 
 def _temperature_um(height_um: float, conditions: Conditions) -> float | None:

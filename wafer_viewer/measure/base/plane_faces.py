@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +12,7 @@ from wafer_viewer.measure.base.correlated_errors import Labels, Scatter
 from wafer_viewer.measure.base.error_covariance import (
     UNRESOLVED_NOTE,
     ErrorCovariance,
+    WeightedHeights,
     errors_of,
     side_by_side,
 )
@@ -63,6 +64,12 @@ class Face:
     def parts(self) -> tuple[HeightSamples, ...]:
         """Accepted points of each region."""
         return parts_of(self.points, self.part)
+
+    def sums(self, gradient: Floats) -> Iterator[WeightedHeights]:
+        """Yield gradient [3] times the parameters as a sum of heights, a term for each region."""
+        whole = WeightedHeights.of_fit(self.points, self.design, gradient)
+        for k, points in zip(np.unique(self.part), self.parts, strict=True):
+            yield WeightedHeights.of(points, whole.weight[self.part == k])
 
     def scatter(self, gradient: Floats) -> Scatter:
         """Return the uncertainty of gradient [3] times the parameters."""

@@ -135,13 +135,17 @@ def numbers_of(
 def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileCurve:
     """Return points along a line, one per pixel of a level; NaN where unmeasured or outside the surface."""
     pixel_um = surface.pixel_um * 2**level
-    curve, length_um = samples_along(line, pixel_um), length_um_of(line)
-    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
-    across = _offsets_um(line.width_um, pixel_um)
-    x_all = curve.x_um[:, None] - across * (yb - ya) / length_um
-    y_all = curve.y_um[:, None] + across * (xb - xa) / length_um
+    curve = samples_along(line, pixel_um)
+    x_all, y_all = places_across(line, curve.x_um, curve.y_um, pixel_um)
     pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(curve.x_um))]
     return replace(curve, z_um=np.concatenate(pieces))
+
+
+def places_across(line: Region, x_um: Floats, y_um: Floats, pixel_um: float) -> tuple[Floats, Floats]:
+    """Return the places [sample, across] over which samples of a line at x, y [sample] are averaged."""
+    (xa, ya), (xb, yb), length_um = *((p.x_um, p.y_um) for p in line.points), length_um_of(line)
+    across = _offsets_um(line.width_um, pixel_um)
+    return x_um[:, None] - across * (yb - ya) / length_um, y_um[:, None] + across * (xb - xa) / length_um
 
 
 def samples_along(line: Region, pixel_um: float) -> ProfileCurve:

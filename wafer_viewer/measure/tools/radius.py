@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.error_covariance import ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in
 from wafer_viewer.measure.base.measurement_context import WINDOW, Lines, MeasurementContext
+from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.plane_faces import Face, face_of
 from wafer_viewer.measure.base.robust_fit import Cap, LevelPlane, fit_cap, no_sphere
 from wafer_viewer.model.errors import MeasureError
@@ -218,7 +219,7 @@ def _radius_lines(
     return {
         "z scale": reading.u_z_scale * cap.radius_um,
         "pixel scale": 2 * reading.u_pixel_scale * cap.radius_um,
-        "noise and form of the cap": errors.scatter(curvature).widened * cap.radius_um**2,
+        "noise and form of the cap": _noise(reading, curvature, errors) * cap.radius_um**2,
         WINDOW: SHRINKS * reading.sag_um(cap.curvature),
         **reading.frame_lines(cap.radius_um / cap_um),
     }
@@ -231,8 +232,13 @@ def _top_lines(
     ground = np.array([cap.x_um - around.plane.x_um, cap.y_um - around.plane.y_um, 1.0])
     return {
         "z scale": reading.u_z_scale * abs(_top_um(cap, around.plane)),
-        "noise and form of the cap": errors.scatter(apex).widened,
+        "noise and form of the cap": _noise(reading, apex, errors),
         "noise and form of the surroundings": around.scatter(ground).widened,
         WINDOW: reading.sag_um(cap.curvature),
         **reading.frame_lines(),
     }
+
+
+def _noise(reading: MeasurementContext, heights: WeightedHeights, errors: ErrorCovariance) -> float:
+    """Return the standard uncertainty of a sum over the points of the cap by their scatter and their own noise."""
+    return noise_um(errors.scatter(heights), pixel_noise_um(reading, heights))

@@ -34,6 +34,7 @@ from wafer_viewer.measure.base.measurement_context import (
     MeasurementContext,
     step_budget,
 )
+from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.plane_faces import (
     Face,
     Regions,
@@ -95,6 +96,11 @@ class LinearFunctional:
     def scatter(self, faces: StepFaces) -> Scatter:
         """Return its uncertainty from the errors of both faces."""
         return Scatter.joined(faces.high.scatter(self.high), faces.low.scatter(self.low))
+
+    def pixel_noise_um(self, reading: MeasurementContext, faces: StepFaces) -> float:
+        """Return its uncertainty from the noise of the pixels of both faces; regions err independently."""
+        sums = (*faces.high.sums(self.high), *faces.low.sums(self.low))
+        return math.hypot(*(pixel_noise_um(reading, heights) for heights in sums))
 
     def minus(self, other: LinearFunctional) -> LinearFunctional:
         """Return the difference of two functionals."""
@@ -334,7 +340,7 @@ def step_height(
     _require_apart((*uppers, *lowers), (*above, *below))
     faces = StepFaces(face_of(reading, level, *above), face_of(reading, level, *below))
     h = gradients(faces, definition)
-    budget = _budget(reading, faces, h, definition, conditions)
+    budget = _budget(reading, level, faces, h, definition, conditions)
     notes = *_other_definitions(faces), *dict.fromkeys((*faces.high.notes, *faces.low.notes))
     return StepHeight(
         **reading.result_fields(name, level, *notes, *reading.not_in_budget(own=True)),
@@ -345,7 +351,7 @@ def step_height(
         height=reading.length(h.value(faces), budget and budget.lines),
         definition=SENTENCES[definition],
         options=StepOptions(definition=definition, conditions=conditions),
-        at_joint=_at_joint(reading, faces, conditions),
+        at_joint=_at_joint(reading, level, faces, conditions),
         tilt=_tilt(reading, faces),
         relative_tilt_mrad=_tilt_mrad(faces),
         upper_mean_um=faces.high.mean_um,
@@ -376,6 +382,7 @@ def _require_apart(regions: Sequence[Region], points: Sequence[HeightSamples]) -
 
 def _budget(
     reading: MeasurementContext,
+    level: int,
     faces: StepFaces,
     h: LinearFunctional,
     definition: StepDefinition,
@@ -385,7 +392,7 @@ def _budget(
     if not reading.calibrated:
         return None
     of_points = {
-        NOISE: h.scatter(faces).widened,
+        NOISE: noise_um(h.scatter(faces), 0.0 if level else h.pixel_noise_um(reading, faces)),
         LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
         POSES: poses_u_um(reading.surface, pose_sensitivities(faces, h)),
     }
@@ -402,9 +409,9 @@ def _levelling_um(faces: StepFaces) -> float:
     return math.sqrt(max(0.0, differ.value(faces) ** 2 - by_noise_um**2) / 12)
 
 
-def _at_joint(reading: MeasurementContext, faces: StepFaces, conditions: Conditions) -> Length:
+def _at_joint(reading: MeasurementContext, level: int, faces: StepFaces, conditions: Conditions) -> Length:
     at_joint = gradients(faces, "joint")
-    budget = _budget(reading, faces, at_joint, "joint", conditions)
+    budget = _budget(reading, level, faces, at_joint, "joint", conditions)
     return reading.length(at_joint.value(faces), budget and budget.lines)
 
 

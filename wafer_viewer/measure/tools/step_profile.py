@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.correlated_errors import Scatter, functional_scatter
+from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import (
     NOISE,
@@ -26,8 +27,9 @@ from wafer_viewer.measure.base.measurement_context import (
     MeasurementContext,
     step_budget,
 )
+from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.robust_fit import least_squares
-from wafer_viewer.measure.tools.profile import profile
+from wafer_viewer.measure.tools.profile import places_across, profile
 from wafer_viewer.measure.tools.step_height import PoseSensitivities, poses_u_um
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, StepProfile
@@ -283,7 +285,7 @@ def step_profile(
         raise MeasureError(f"No {shape} stands out of the noise along the line: draw it across one.")
     height_um = plan.times * fitted.h_um
     kind = shape if shape == "step" else "groove" if height_um > 0 else "ridge"
-    lines, missing = _budget(reading, fitted, plan, scatter, conditions)
+    lines, missing = _budget(reading, line, fitted, plan, scatter, conditions)
     fields = reading.result_fields(name, 0, *section.notes, *reading.not_in_budget(own=True))
     fields["filter"] = section.filter
     return StepProfile(
@@ -416,14 +418,29 @@ def _scatter(fitted: FittedStep, plan: StepPlan, curve: ProfileCurve) -> Scatter
 
 
 def _budget(
-    reading: MeasurementContext, fitted: FittedStep, plan: StepPlan, scatter: Scatter | None, conditions: Conditions
+    reading: MeasurementContext,
+    line: Region,
+    fitted: FittedStep,
+    plan: StepPlan,
+    scatter: Scatter | None,
+    conditions: Conditions,
 ) -> tuple[Lines | None, tuple[str, ...]]:
     if not reading.calibrated or scatter is None:
         return None, ()
     weight = plan.times * fitted.weights
     of_points = {
-        NOISE: plan.times * scatter.widened,
+        NOISE: noise_um(
+            Scatter(plan.times * scatter.u, scatter.freedom),
+            pixel_noise_um(reading, _of_pixels(reading, line, fitted, weight)),
+        ),
         POSES: poses_u_um(reading.surface, PoseSensitivities(fitted.x_um, fitted.y_um, weight)),
     }
     budget = step_budget(plan.times * fitted.h_um, of_points, conditions, reading.surface.provenance)
     return budget.lines, budget.not_evaluated
+
+
+def _of_pixels(reading: MeasurementContext, line: Region, fitted: FittedStep, weight: Floats) -> WeightedHeights:
+    """Return a sum over samples, each the mean of the pixels across the line, as one over those."""
+    x_um, y_um = places_across(line, fitted.x_um, fitted.y_um, reading.surface.pixel_um)
+    each = np.broadcast_to(weight[:, None] / x_um.shape[1], x_um.shape)
+    return WeightedHeights(x_um.ravel(), y_um.ravel(), each.ravel())

@@ -8,6 +8,7 @@ bias.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -18,7 +19,9 @@ from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.plane_faces import Area, Face, area_of, face_of
+from wafer_viewer.measure.base.noise_bias import BIAS_SHARE
+from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
+from wafer_viewer.measure.base.plane_faces import Area, Face, area_of, face_of, lattice_of
 from wafer_viewer.measure.base.robust_fit import plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import AreaVolume
@@ -34,6 +37,7 @@ MIN_BORDER_POINTS = 100
 """Smallest number of measured points of the border."""
 NOISE_DEVIATIONS = 3.0
 """Distance from the plane that is noise, in standard deviations of the border."""
+UNMEASURED = "unmeasured part of the region"
 Reference = Literal["border", "zero"]
 REFERENCES: dict[Reference, str] = {
     "border": "Reference: the plane through the border of the region.",
@@ -52,7 +56,8 @@ def area_volume(
 ) -> AreaVolume:
     """Measure volumes, areas and extreme heights above and below a plane.
 
-    Unmeasured pixels are excluded. Areas are projected along z.
+    Unmeasured pixels are excluded; what they would add is in the uncertainty of the volumes. Areas are projected
+    along z.
 
     Parameters
     ----------
@@ -95,16 +100,20 @@ def area_volume(
     Noise alone would raise half of a flat region above the plane. Pixels within three deviations of the border about
     its plane count as area on neither side, and their total volume counts on the side with more volume. The difference
     of the volumes is therefore that of all pixels, which noise does not bias.
+
+    The volume is not corrected for unmeasured pixels. The budget has three quarters of what they would add if they were
+    as high as the nearest measured ones, so that the expanded uncertainty covers one and a half of it.
     """
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "region", "a volume")
     from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")
     border = _border(reading, area, region)
-    noise_um = NOISE_DEVIATIONS * border.sq_um
+    within_um = NOISE_DEVIATIONS * border.sq_um
     zero = np.asarray(border.plane.at(area.points.x_um, area.points.y_um)) if from_where == "border" else 0.0
     over = area.points.z_um - zero
-    noise_um3 = _noise_um3(border, area) if from_where == "border" else None
-    above, below = (_side(reading, area, rises, noise_um, noise_um3) for rises in (over, -over))
+    noise_um3 = _noise_um3(reading, border, area) if from_where == "border" else None
+    hidden = _hidden(area, region, over)
+    above, below = (_side(reading, area, sign * over, sign * hidden, within_um, noise_um3) for sign in (1, -1))
     return AreaVolume(
         **reading.result_fields(name, area.level, REFERENCES[from_where], *border.notes, *reading.not_in_budget()),
         region=region,
@@ -116,7 +125,7 @@ def area_volume(
         area=reading.quantity(area.um2, "um2", {"pixel scale": 2 * reading.u_pixel_scale * area.um2}),
         highest=reading.length(float(over.max()), None),
         lowest=reading.length(float(over.min()), None),
-        noise_um=noise_um,
+        noise_um=within_um,
         measured_fraction=area.measured_fraction,
     )
 
@@ -133,13 +142,30 @@ def _border(reading: MeasurementContext, area: Area, region: Region) -> Face:
     return face_of(reading, area.level, points)
 
 
-def _noise_um3(border: Face, area: Area) -> float:
+def _noise_um3(reading: MeasurementContext, border: Face, area: Area) -> float:
     """Return the standard uncertainty of the volume: that of all heights less that of the plane under them."""
     pixel_um2, n = area.pixel_um**2, len(area.points)
     gradient = plane_design(area.points, (border.plane.x_um, border.plane.y_um)).sum(axis=0)
     plane = WeightedHeights.of_fit(border.points, border.design, gradient)
     whole = WeightedHeights.of(area.points, np.ones(n))
-    return pixel_um2 * border.errors.scatter(WeightedHeights.joined((whole, plane.times(-1.0)))).widened
+    over = WeightedHeights.joined((whole, plane.times(-1.0)))
+    of_pixels_um = 0.0 if area.level else pixel_noise_um(reading, over)
+    return pixel_um2 * noise_um(border.errors.scatter(over), of_pixels_um)
+
+
+def _hidden(area: Area, region: Region, over: Floats) -> Floats:
+    """Return the heights over the plane that unmeasured pixels of a region have if they are as high as the nearest."""
+    from scipy.ndimage import distance_transform_edt
+
+    points = area.points
+    z_um = lattice_of(dataclasses.replace(area, points=HeightSamples(points.x_um, points.y_um, over)))
+    rows, cols = np.nonzero(np.isnan(z_um))
+    x_um, y_um = points.x_um.min() + cols * area.pixel_um, points.y_um.max() - rows * area.pixel_um
+    inside = region.contains(x_um, y_um)
+    if not inside.any():
+        return np.zeros(0)
+    nearest = np.asarray(distance_transform_edt(np.isnan(z_um), return_distances=False, return_indices=True))
+    return z_um[tuple(nearest[:, rows[inside], cols[inside]])]
 
 
 def _from_outline_um(region: Region, points: HeightSamples) -> Floats:
@@ -175,23 +201,30 @@ class VolumeSide:
 
 
 def _side(
-    reading: MeasurementContext, area: Area, rises: Floats, noise_um: float, noise_um3: float | None
+    reading: MeasurementContext, area: Area, rises: Floats, hidden: Floats, within_um: float, noise_um3: float | None
 ) -> VolumeSide:
-    """Return volume and area where `rises` are positive; pixels within the noise count on the larger side."""
-    beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
-    beyond_um3, opposite_um3 = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
-    within = float(rises[np.abs(rises) <= noise_um].sum()) if beyond_um3 >= opposite_um3 else 0.0
+    """Return volume and area where `rises` are positive; pixels within the noise count on the larger side.
+
+    hidden: rises of the unmeasured pixels, which count in the uncertainty only.
+    """
+    beyond, pixel_um2 = rises > within_um, area.pixel_um**2
+    beyond_um3, opposite_um3 = float(rises[beyond].sum()), -float(rises[rises < -within_um].sum())
+    within = float(rises[np.abs(rises) <= within_um].sum()) if beyond_um3 >= opposite_um3 else 0.0
     um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, beyond_um3 + within) * pixel_um2
-    volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, noise_um3))
+    hidden_um3 = float(hidden[hidden > within_um].sum()) * pixel_um2
+    volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, hidden_um3, noise_um3))
     return VolumeSide(volume, reading.quantity(um2, "um2", None))
 
 
-def _lines(reading: MeasurementContext, um3: float, um2: float, noise_um3: float | None) -> Lines | None:
+def _lines(
+    reading: MeasurementContext, um3: float, um2: float, hidden_um3: float, noise_um3: float | None
+) -> Lines | None:
     if noise_um3 is None:
         return None
     return {
         "z scale": reading.u_z_scale * um3,
         "pixel scale": 2 * reading.u_pixel_scale * um3,
         "noise and form of the border": noise_um3,
+        **({UNMEASURED: BIAS_SHARE * hidden_um3} if hidden_um3 > 0 else {}),
         **reading.frame_lines(um2),
     }

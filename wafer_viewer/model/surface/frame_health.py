@@ -1,4 +1,4 @@
-"""Uncertainty of heights from the frames themselves: positions along z and flicker of the light."""
+"""Uncertainty of heights from the frames themselves: positions along z, gaps, and flicker of the light."""
 
 from __future__ import annotations
 
@@ -24,28 +24,32 @@ CENTRED_U = (0.002, 0.003, 0.006, 0.014, 0.045)
 """Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py."""
 THREE_POINT_U = 0.03
 """The same for peaks through three points, rms of the blur law at any step up to a depth of field."""
+GAP_DOF = (0.4, 0.6, 0.85, 1.1, 1.45, 1.8)
+"""Distances of the frames on both sides of a gap, in depths of field, to which `GAP_U` belongs."""
+GAP_U = (0.02, 0.025, 0.04, 0.067, 0.14, 0.18)
+"""Standard uncertainty of one height beside a gap, in its widths, for centred peaks: tests/bench/bench_gaps.py."""
 WIDTH_DOF = 1.2
 """Width of a focus curve in depths of field."""
 
 
 class FrameHealth(Spec, frozen=True, kw_only=True):
-    """Standard uncertainty (k = 1) of one height in um, from the z jitter of frames and from flicker; 0 if unseen.
+    """Standard uncertainty (k = 1) of one height in um that the frames cause; 0 if unseen.
 
-    u_jitter_um: a lower bound from the surface itself, where its relief spans several depths of field; u_flicker_um:
-    of the flicker that is left after correction. Heights at different z come from different frames: a difference has
-    sqrt(2) times the uncertainty.
+    u_jitter_um: of the z jitter of single frames, a lower bound: it tells how far frames differ from those beside them,
+    and, where the relief spans several depths of field, from the surface. u_flicker_um: of the flicker that is left
+    after correction. u_gap_um: of heights beside the worst gap, where frames are missing or were left out. Heights at
+    different z come from different frames: a difference has sqrt(2) times the uncertainty.
     """
 
     u_jitter_um: NonNegative = 0.0
     u_flicker_um: NonNegative = 0.0
+    u_gap_um: NonNegative = 0.0
 
     @classmethod
     def worst(cls, *parts: FrameHealth) -> FrameHealth:
         """Return the largest uncertainties of several fields."""
-        jitter_um, flicker_um = (
-            max((getattr(part, name) for part in parts), default=0.0) for name in ("u_jitter_um", "u_flicker_um")
-        )
-        return cls(u_jitter_um=jitter_um, u_flicker_um=flicker_um)
+        names = cls.__struct_fields__
+        return cls(**{name: max((getattr(part, name) for part in parts), default=0.0) for name in names})
 
 
 def jitter_u_um(jitter_um: float, step_um: float, depth_of_field_um: float) -> float:
@@ -56,6 +60,11 @@ def jitter_u_um(jitter_um: float, step_um: float, depth_of_field_um: float) -> f
 def flicker_u_um(flicker: float, step_um: float, depth_of_field_um: float) -> float:
     """Return the standard uncertainty of a height due to flicker, given as the standard deviation of the gains."""
     return FLICKER_SHARE * math.sqrt(step_um / depth_of_field_um) * depth_of_field_um * flicker
+
+
+def gap_u_um(gap_um: float, depth_of_field_um: float) -> float:
+    """Return the standard uncertainty of a height beside a gap between two frames."""
+    return gap_um * float(np.interp(gap_um / depth_of_field_um, GAP_DOF, GAP_U))
 
 
 def interpolation_u_um(peak: str, step_um: float, focus_width_um: float) -> float:

@@ -174,8 +174,10 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe(), samples: FrameSamples 
     flickers = [
         measure_flicker([of_frames.cells(int(slot), one.images[slot]) for slot in slots], white)
         for one, of_frames in zip(stack.exposures, of_exposures, strict=True)
-        if recipe.flicker == "correct"
     ]
+    if recipe.flicker == "none":
+        frames = dataclasses.replace(frames, flicker_rest=max(max(f.spread, f.rest) for f in flickers))
+        flickers = []
     frames = _fused(stack, frames, white, flickers)
     frames = _without_flicker(frames, flickers, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))

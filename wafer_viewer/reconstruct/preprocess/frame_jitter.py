@@ -1,0 +1,185 @@
+"""z jitter of single frames, from how smoothly the pictures change along z.
+
+A detail of period p changes along z by at most NA / p periods per um: the geometrical blur of an aperture, which
+diffraction only slows. Means over blocks of pixels keep the coarse periods, whose change is so slow that each frame
+follows from those beside it. What a frame differs by is its offset along z times the change there: the ratio of both
+over all blocks is its offset against its neighbours. The noise of the camera differs between two halves of the blocks,
+and cancels in the product of their offsets.
+
+Level faces show it as well as tilted ones. An offset that all frames of a face share does not show, but moves the face:
+its size follows from the jitter of the single frames, as far as they are independent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
+from wafer_viewer.numerics.normal_statistics import student
+from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
+
+Floats = NDArray[np.float64]
+Blocks = NDArray[np.float32]
+PREDICTS = np.array([0.79962126, -0.39134527, 0.09172401])
+"""Weights of the sums of both frames at one, two and three steps that predict the frame between them.
+
+Least squares over all changes of up to 0.2 periods a step, exact for what does not change.
+"""
+REACH = len(PREDICTS)
+DIFFERS = np.concatenate([-PREDICTS[::-1], [1.0], -PREDICTS])
+"""Weights of seven frames in the difference of the middle one from its prediction."""
+CHANGES = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
+"""Weights of five frames in the change along z per step."""
+FRAMES_PER_FREEDOM = 3.5
+"""Frames per independent offset: neighbours share most of the frames that they are compared with."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameJitterParameters:
+    """Sample of a stack and limits of the jitter of its frames.
+
+    Parameters
+    ----------
+    periods_per_step : float
+        Fastest change along z that blocks of pixels keep.
+    sampled_px : int, px
+        Approximate number of sampled pixels of a frame.
+    least_blocks : int
+        Smallest number of blocks in a frame.
+    least_change : float
+        Smallest sum of squared changes of a frame that counts, relative to the largest one.
+    least_frames : int
+        Smallest number of frames that count.
+    uneven : float, steps
+        Largest deviation from even distances among the frames that are compared; a gap is larger.
+    least : float, steps
+        Smallest jitter that is told: sharp frames show 0.01 by the prediction (`smooth_scenes`, seeds below 60).
+    sigmas : float
+        Smallest jitter in standard errors of the noise.
+    least_freedom : float
+        Smallest degrees of freedom of the jitter.
+    """
+
+    periods_per_step: float = 0.2
+    sampled_px: int = 1 << 16
+    least_blocks: int = 100
+    least_change: float = 0.1
+    least_frames: int = 3
+    uneven: float = 0.3
+    least: float = 0.015
+    sigmas: float = 2.5
+    least_freedom: float = 3.0
+
+
+FRAME_JITTER = FrameJitterParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameJitter:
+    """Standard deviation of the z of single frames in um, 0 where it is not significant, and its degrees of freedom."""
+
+    sigma_um: float
+    freedom: float
+
+    @property
+    def widened_um(self) -> float:
+        """Standard deviation widened by Student's t, so that k = 2 covers 95.45 % with few frames."""
+        return self.sigma_um * student(self.freedom) / 2 if self.sigma_um > 0 else 0.0
+
+
+UNSEEN = FrameJitter(0.0, math.inf)
+"""Jitter that does not show."""
+
+
+def frame_jitter(frames: Frames, depth_of_field_um: float) -> FrameJitter:
+    """Return the z jitter of the frames as far as they show it.
+
+    depth_of_field_um: of the lens, wavelength / NA^2 + pixel / NA.
+    """
+    if frames.n_frames < 2 * REACH + FRAME_JITTER.least_frames:
+        return UNSEEN
+    side = _block_px(frames, depth_of_field_um)
+    if (frames.shape[0] // side) * (frames.shape[1] // side) < FRAME_JITTER.least_blocks:
+        return UNSEEN
+    blocks = np.concatenate(list(_block_means(frames, side)), axis=1)
+    return _jitter(_contrast(blocks), frames.z_um, frames.step_um)
+
+
+def _block_px(frames: Frames, depth_of_field_um: float) -> int:
+    """Return the side of the smallest blocks that change slowly enough; their finest period is two blocks."""
+    rise = frames.pixel_um + math.sqrt(frames.pixel_um**2 + 4 * depth_of_field_um * WAVELENGTH_UM)
+    aperture = rise / (2 * depth_of_field_um)
+    return math.ceil(aperture * frames.step_um / (2 * FRAME_JITTER.periods_per_step * frames.pixel_um))
+
+
+def _block_means(frames: Frames, side: int) -> Iterator[Blocks]:
+    """Yield the means [k, block] of the blocks in bands of rows that are spread over the frame."""
+    rows, cols = frames.shape[0] // side, frames.shape[1] // side * side
+    bands = min(rows, max(1, round(FRAME_JITTER.sampled_px / (side * cols))))
+    block = np.empty((frames.n_frames, side, cols), frames.dtype)
+    for band in np.unique(np.linspace(0, rows - 1, bands).astype(int)).tolist():
+        read_block(frames, slice(band * side, (band + 1) * side), slice(0, cols), 0, block)
+        columns = block.sum(axis=1, dtype=np.uint32)
+        yield columns.reshape(frames.n_frames, -1, side).sum(axis=2).astype(np.float32) / side**2
+
+
+def _contrast(blocks: Blocks) -> Blocks:
+    """Return the deviation of blocks [k, block] from the mean of their frame, as a fraction: flicker drops out."""
+    return blocks / np.maximum(blocks.mean(axis=1, keepdims=True), 1e-9) - 1
+
+
+def _jitter(contrast: Blocks, z_um: Floats, step_um: float) -> FrameJitter:
+    """Return the jitter that the contrast of blocks [k, block] shows."""
+    every = _weighted(contrast, CHANGES)  # of the frames from the third on
+    change = every[REACH - 2 : len(every) - REACH + 2]
+    power, uneven = np.sum(change**2, axis=1), _uneven(z_um / step_um)
+    counts = (power > FRAME_JITTER.least_change * power.max()) & (np.abs(uneven).max(axis=1) < FRAME_JITTER.uneven)
+    if np.count_nonzero(counts) < FRAME_JITTER.least_frames:
+        return UNSEEN
+    differs, change = _weighted(contrast, DIFFERS)[counts], change[counts]
+    shares = _shares(every, change, np.flatnonzero(counts))
+    known = np.sum(shares * uneven[counts], axis=1)
+    odd = np.arange(contrast.shape[1]) % 2 == 1
+    first, second = (
+        np.sum((differs * change)[:, half], axis=1) / np.maximum(np.sum(change[:, half] ** 2, axis=1), 1e-30) - known
+        for half in (odd, ~odd)
+    )
+    gain = float(np.sum(shares**2))
+    variance = float(np.sum(first * second)) / gain
+    noise = float(np.sum((first - second) ** 2)) / 2 / gain / math.sqrt(len(first))
+    if variance < max(FRAME_JITTER.least**2, FRAME_JITTER.sigmas * noise):
+        return UNSEEN
+    freedom = max(FRAME_JITTER.least_freedom, len(first) / FRAMES_PER_FREEDOM)
+    return FrameJitter(math.sqrt(variance) * step_um, freedom)
+
+
+def _weighted(values: Blocks, weights: Floats) -> Blocks:
+    """Return the weighted sums of neighbouring frames, [k - taps + 1, block]."""
+    n = len(values) - len(weights) + 1
+    out = np.zeros((n, values.shape[1]), np.float32)
+    for k, weight in enumerate(weights.tolist()):
+        if weight:
+            out += weight * values[k : k + n]
+    return out
+
+
+def _uneven(place: Floats) -> Floats:
+    """Return the deviations of the known places of frames, in steps, from even distances about the middle of seven."""
+    seven = np.lib.stride_tricks.sliding_window_view(place, 2 * REACH + 1)
+    return seven - seven[:, REACH : REACH + 1] - np.arange(-REACH, REACH + 1)
+
+
+def _shares(every: Blocks, change: Blocks, first: NDArray[np.intp]) -> Floats:
+    """Return how far an offset of each of seven frames shows in the offset of the middle one, [n, 7].
+
+    every: changes of the frames from the third on; change: of the middle ones; first: the first of each seven frames.
+    The change of the first and the last two frames of the stack is not known: they are far from focus.
+    """
+    known = np.pad(every, ((2, 2), (0, 0)))
+    along = [np.sum(known[first + j] * change, axis=1) for j in range(len(DIFFERS))]
+    return DIFFERS * np.stack(along, axis=1) / np.sum(change**2, axis=1, keepdims=True)
