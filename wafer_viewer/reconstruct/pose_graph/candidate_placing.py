@@ -214,7 +214,7 @@ class Placing:
             weight = 1 / (1 + np.sum((rest / self.scatter) ** 2, axis=1) / 18)
         self.shared = np.zeros(N_SHARED)
         self.shared[:n_shared] = shared
-        self.shared_covariance = np.linalg.inv(normal)
+        self.shared_covariance = np.asarray(np.linalg.inv(normal), np.float64)
 
     def _scatter_of(self, rest: Numbers, freedom: float) -> Numbers:
         """Return the scatter of the stage from what its shared errors leave, with that expected beforehand."""
