@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -104,6 +105,20 @@ def test_a_field_made_again_is_shown_as_it_is_now(dataset, made):
     bring_up_to_date(dataset, RESULT, REGISTERED)
     poses = stored.poses()
     assert poses.z_um[0] - np.median(poses.z_um[1:]) == pytest.approx(50, abs=8)
+
+
+def test_a_mosaic_of_an_earlier_version_is_drawn_anew_when_a_field_changes(dataset, made):
+    stored = add_surfaces(dataset, made, range(4))
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    shutil.rmtree(stored.mosaic_path / "n_origin")
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    assert not (stored.mosaic_path / "n_origin").exists()
+    before = stored.poses()
+    add_surfaces(dataset, made, [4])
+    info = bring_up_to_date(dataset, RESULT, REGISTERED, final=False)
+    assert (stored.mosaic_path / "n_origin").exists()
+    assert info.changed == ()
+    np.testing.assert_array_equal(stored.poses().x_um[:4], before.x_um)
 
 
 def test_what_was_broken_off_is_made_anew(dataset, made):

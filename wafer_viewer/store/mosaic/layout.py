@@ -12,6 +12,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, Positive, Spec, encode
 from wafer_viewer.model.surface.height_map import Mosaic, Origin, Provenance
+from wafer_viewer.model.surface.pyramid_layers import COUNTS, EXTREMES
 from wafer_viewer.store.mosaic.zarr_shards import Shards
 
 CHUNK, SHARD = 256, 2048
@@ -29,11 +30,12 @@ FILLS: dict[str, float] = {
     "origin": Origin.NOT_COVERED,
     "overlap_um": math.nan,
     "u_um": math.nan,
+    **dict.fromkeys(COUNTS, 0),
 }
-NOT_IN_OLDER = ("u_um",)
+NOT_IN_OLDER = ("u_um", *COUNTS)
 """Layers that mosaics of earlier versions lack."""
-SPANS = ("z_min_um", "z_max_um")
-SURFACE = tuple(name for name in FILLS if name not in SPANS)
+FROM_LEVEL_1 = (*EXTREMES, *COUNTS)
+SURFACE = tuple(name for name in FILLS if name not in FROM_LEVEL_1)
 
 
 class MosaicHeader(Spec, frozen=True, kw_only=True):
@@ -88,15 +90,17 @@ def as_json(header: MosaicHeader) -> dict[str, Any]:
     return json.loads(encode(header, "json"))
 
 
-def shards_of(name: str, header: MosaicHeader) -> Shards:
-    """Return the shard parameters of a layer."""
+def shards_of(name: str, header: MosaicHeader, level: int) -> Shards:
+    """Return the shard parameters of a layer at a level."""
+    if name in COUNTS:
+        return Shards(np.min_scalar_type(4**level), FILLS[name], CHUNK, SHARD)
     dtype = {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
     return Shards(np.dtype(dtype), FILLS[name], CHUNK, SHARD)
 
 
 def levels_of(name: str, header: MosaicHeader) -> range:
     """Return the levels of a layer."""
-    return range(1 if name in SPANS else 0, header.levels)
+    return range(1 if name in FROM_LEVEL_1 else 0, header.levels)
 
 
 def multiscale(header: MosaicHeader, name: str) -> dict[str, Any]:
