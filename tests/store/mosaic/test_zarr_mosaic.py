@@ -278,6 +278,43 @@ def test_each_layer_is_an_image_of_the_format(stored):
         assert len(scales) == (stored.levels - 1 if name in layout.FROM_LEVEL_1 else stored.levels)
 
 
+def test_the_root_is_an_image_of_the_format_with_a_pyramid_for_each_layer(stored):
+    models = pytest.importorskip("ome_zarr_models.v05")
+    image = models.Image.from_zarr(zarr.open_group(stored.path, mode="r"))
+    multiscales = image.attributes.ome.multiscales
+    assert [one.name for one in multiscales] == list(layout.FILLS)
+    assert multiscales[0].name == "z_um"
+    for one in multiscales:
+        alone = models.Image.from_zarr(zarr.open_group(stored.path / one.name, mode="r")).attributes.ome.multiscales[0]
+        places = [dataset.coordinateTransformations for dataset in one.datasets]
+        assert places == [dataset.coordinateTransformations for dataset in alone.datasets]
+        assert [d.path for d in one.datasets] == [f"{one.name}/{d.path}" for d in alone.datasets]
+
+
+@pytest.mark.parametrize("layer", ["", "all_in_focus"])
+def test_another_reader_sees_every_level_where_it_lies_on_the_stage(stored, surface, layer):
+    ngff_zarr = pytest.importorskip("ngff_zarr")
+    images = ngff_zarr.from_ngff_zarr(str(stored.path / layer), version="0.5").images
+    assert len(images) == stored.levels
+    for level, image in enumerate(images):
+        ours = stored.window(level=level)
+        assert image.dims == ("y", "x")
+        assert image.axes_units == {"y": "micrometer", "x": "micrometer"}
+        for axis, um in (("x", ours.x_um), ("y", -ours.y_um)):
+            n = image.data.shape[image.dims.index(axis)]
+            np.testing.assert_allclose(image.translation[axis] + np.arange(n) * image.scale[axis], um, atol=1e-9)
+        np.testing.assert_array_equal(np.asarray(image.data), getattr(ours, layer or "z_um"))
+
+
+def test_two_mosaics_lie_beside_each_other_as_on_the_stage(stored, tmp_path, surface):
+    ngff_zarr = pytest.importorskip("ngff_zarr")
+    right_um, up_um = 300.0, 40.0
+    moved = dataclasses.replace(surface, x0_um=surface.x0_um + right_um, y0_um=surface.y0_um + up_um)
+    other = write_mosaic(tmp_path / "m.zarr", moved)
+    a, b = (ngff_zarr.from_ngff_zarr(str(one.path), version="0.5").images[0].translation for one in (stored, other))
+    assert (b["x"] - a["x"], b["y"] - a["y"]) == pytest.approx((right_um, -up_um))
+
+
 def test_other_programs_may_write_shards_that_we_read(stored, tmp_path, surface):
     copy = shutil.copytree(stored.path, tmp_path / "m.zarr")
     array = zarr.open_array(copy / "z_um" / "0", mode="r+")

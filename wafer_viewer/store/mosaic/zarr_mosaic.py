@@ -51,7 +51,8 @@ from wafer_viewer.store.mosaic.layout import (
     header_of,
     levels_for,
     levels_of,
-    multiscale,
+    ome_of_layer,
+    ome_of_root,
     shards_of,
 )
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
@@ -180,10 +181,11 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
 
     header = header_of(source)
     with os_errors_as_dataset_errors(path):
-        root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes={OWN: as_json(header)})
+        attributes = {OWN: as_json(header), "ome": ome_of_root(header)}
+        root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes=attributes)
         root.create_array(FACTS, **facts_array(header.shape_of(0)))
         for name, fill in FILLS.items():
-            group = root.create_group(name, attributes={"ome": multiscale(header, name)})
+            group = root.create_group(name, attributes={"ome": ome_of_layer(header, name)})
             for level in levels_of(name, header):
                 group.create_array(
                     str(level),
