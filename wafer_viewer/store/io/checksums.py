@@ -198,6 +198,14 @@ def seal_archive(path: Path) -> None:
         file.write(b"%08x" % crc)
 
 
+def stored_checksum(path: Path) -> int | None:
+    """Return the checksum in an ``.npz``, untested, as a number that identifies its content; None without one."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _COMMENT_BYTES))
+        comment = _COMMENT.search(file.read())
+    return None if comment is None else int(comment[1], 16)
+
+
 def archive_state(path: Path) -> Checksum:
     """Return the checksum state of an ``.npz``; reads the entire file."""
     n_bytes = path.stat().st_size
