@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -76,20 +76,59 @@ class CheckReport:
         return not (self.missing or self.damaged or self.faults or any(kind.damaged for kind in self.files))
 
 
+class _FrameLines:
+    """Journal lines of frames by field and slot; the first line of a slot counts."""
+
+    def __init__(self) -> None:
+        self._of: dict[int, dict[Shot, FrameKept]] = {}
+
+    def __contains__(self, shot: Shot) -> bool:
+        return shot in self.of(shot.field)
+
+    def of(self, field: int) -> Mapping[Shot, FrameKept]:
+        """Return the lines of a field."""
+        return self._of.get(field, {})
+
+    def shots(self) -> set[Shot]:
+        """Return all slots."""
+        return {shot for lines in self._of.values() for shot in lines}
+
+    def add(self, line: FrameKept) -> None:
+        """Add a line."""
+        self._of.setdefault(line.shot.field, {}).setdefault(line.shot, line)
+
+    def add_all(self, others: _FrameLines) -> None:
+        """Add the lines of another table, which gives them up."""
+        for field, lines in others._of.items():
+            if (own := self._of.setdefault(field, lines)) is not lines:
+                for shot, line in lines.items():
+                    own.setdefault(shot, line)
+
+    def drop(self, shot: Shot) -> None:
+        """Remove a slot."""
+        self._of.get(shot.field, {}).pop(shot, None)
+
+    def drop_field(self, field: int) -> None:
+        """Remove all slots of a field."""
+        self._of.pop(field, None)
+
+
 class Dataset:
     """Dataset opened for reading, also while another process writes to it; `refresh` reads new journal lines."""
 
     def __init__(self, path: Path, scan: ScanRecord) -> None:
         self.path, self.scan = path, scan
         self._journal = JournalReader(path / JOURNAL)
-        self._frames: dict[Shot, FrameKept] = {}
-        self._provisional: dict[Shot, FrameKept] = {}
+        self._frames = _FrameLines()
+        self._provisional = _FrameLines()
         """Frames of the current pass, which count only once the pass has ended."""
         self._is_provisional = False
         self._missed: dict[Shot, Missed] = {}
         self._faults: list[str] = []
         self._focus_at_end: dict[int, tuple[bool, bool]] = {}
         self._ended = False
+        self._indexed: tuple[Field, ...] = ()
+        self._by_number: dict[int, Field] = {}
         self.refresh()
 
     @classmethod
@@ -103,13 +142,13 @@ class Dataset:
         for line in self._journal.new_lines():
             match line:
                 case FrameKept():
-                    (self._provisional if self._is_provisional else self._frames).setdefault(line.shot, line)
+                    (self._provisional if self._is_provisional else self._frames).add(line)
                 case Missed():
                     self._missed[line.shot] = line
-                    self._provisional.pop(line.shot, None)
+                    self._provisional.drop(line.shot)
                 case PassEnded():
-                    self._frames = self._provisional | self._frames
-                    self._provisional, self._is_provisional = {}, False
+                    self._frames.add_all(self._provisional)
+                    self._provisional, self._is_provisional = _FrameLines(), False
                 case FaultNoted():
                     self._faults.append(line.what)
                 case FocusAtEnd():
@@ -117,7 +156,7 @@ class Dataset:
                 case WindowChanged():
                     self._change_window(line)
                 case PassBegun():
-                    self._provisional, self._is_provisional = {}, line.provisional
+                    self._provisional, self._is_provisional = _FrameLines(), line.provisional
                     self._ended = False
                 case Finished():
                     self._ended = True
@@ -127,9 +166,10 @@ class Dataset:
     def _change_window(self, line: WindowChanged) -> None:
         self.scan = self.scan.with_window(line)
         self._focus_at_end.pop(line.field, None)
-        for slots in (self._frames, self._provisional, self._missed):
-            for shot in [shot for shot in slots if shot.field == line.field]:
-                del slots[shot]
+        self._frames.drop_field(line.field)
+        self._provisional.drop_field(line.field)
+        for shot in [shot for shot in self._missed if shot.field == line.field]:
+            del self._missed[shot]
 
     @property
     def name(self) -> str:
@@ -159,16 +199,23 @@ class Dataset:
     @property
     def finished(self) -> bool:
         """True if no frame is missing, or the scan ended without the missing ones."""
-        return self._ended or not self.missing()
+        return self._ended or all(map(self._is_complete, self.fields))
 
     def field(self, number: int) -> Field:
         """Return the field with a number. Raises DatasetError when there is none."""
-        field = next((f for f in self.fields if f.number == number), None)
+        field = self._field_of.get(number)
         if field is None:
             raise DatasetError(
                 f"{self.path.name} has {len(self.fields)} fields and no field {number}: choose one of them."
             )
         return field
+
+    @property
+    def _field_of(self) -> dict[int, Field]:
+        """Fields by their numbers, of the present plan."""
+        if self._indexed is not self.fields:
+            self._indexed, self._by_number = self.fields, {field.number: field for field in self.fields}
+        return self._by_number
 
     def calibration_problem(self, today: str) -> str | None:
         """Return why lengths are uncalibrated, or None if calibrated. `today`: ISO 8601 date."""
@@ -180,11 +227,11 @@ class Dataset:
 
     def kept(self) -> set[Shot]:
         """Return the slots that have a frame, without those of the current pass."""
-        return set(self._frames)
+        return self._frames.shots()
 
     def arrived(self) -> set[Shot]:
         """Return the slots that have a frame, including those of the current pass."""
-        return self._frames.keys() | self._provisional.keys()
+        return self._frames.shots() | self._provisional.shots()
 
     def ever_missed(self) -> set[Shot]:
         """Return the slots that were empty, or whose frame was rejected, at any time."""
@@ -192,7 +239,8 @@ class Dataset:
 
     def missing(self) -> set[Shot]:
         """Return the slots without a frame, whether pending or missed."""
-        return {shot for field in self.fields for shot in self._shots(field)} - self._frames.keys()
+        incomplete = (field for field in self.fields if not self._is_complete(field))
+        return {shot for field in incomplete for shot in self._shots(field) if shot not in self._frames}
 
     def missed(self) -> dict[Shot, str]:
         """Return the slots without a frame that the scan has passed, and the reason for each."""
@@ -200,7 +248,10 @@ class Dataset:
 
     def complete_fields(self) -> set[int]:
         """Return the numbers of the fields that have all their frames, without those of the current pass."""
-        return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
+        return {f.number for f in self.fields if self._is_complete(f)}
+
+    def _is_complete(self, field: Field) -> bool:
+        return len(self._frames.of(field.number)) == self.scan.plan.sweep.frames_of(field) * self.n_exposures
 
     def stack(self, field_number: int, exposure: int | None = None, *, verify: bool = True) -> FieldStack:
         """Return the focus stack of a field, memory-mapped; z is the recorded z times the calibrated z scale.
@@ -278,7 +329,7 @@ class Dataset:
                 faults.append(str(fault))
                 continue
             damaged += bad
-            good += sum(shot in self._frames for shot in self._shots(field)) - len(bad)
+            good += len(self._frames.of(field.number)) - len(bad)
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
         return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
 
@@ -320,8 +371,8 @@ class Dataset:
 
     def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
         n_frames = self.scan.plan.sweep.frames_of(self.field(field_number))
-        shots = (Shot(field_number, k, exposure) for k in range(n_frames))
-        return [self._provisional.get(shot, self._frames.get(shot)) for shot in shots]
+        lines = {**self._frames.of(field_number), **self._provisional.of(field_number)}
+        return [lines.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
 
     def _bracket(self, pages: Image, exposure: int, lines: list[FrameKept | None]) -> Bracket:
         present = np.array([line is not None for line in lines])
@@ -362,7 +413,7 @@ class Dataset:
             )
 
     def _damaged(self, field: Field) -> list[Shot]:
-        lines = [self._frames[shot] for shot in self._shots(field) if shot in self._frames]
+        lines = list(self._frames.of(field.number).values())
         pages = map_pages(frames_file(self.path, field), self.scan.pages(field)) if lines else None
         return self._damaged_slots(pages, lines) if pages is not None else []
 

@@ -94,8 +94,10 @@ class Result:
             write_npz(surface, temporary)
 
     def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
-        """Return the numbers of those fields that have a surface."""
-        return {f.number for f in fields if self._surface_file(f).exists()}
+        """Return the numbers of those fields that have a surface; the folder is listed once."""
+        folder = self.path / SURFACES
+        names = {path.stem for path in folder.glob("*.npz")}
+        return {f.number for f in fields if f.name in names} if names else set()
 
     @property
     def is_difference(self) -> bool:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -26,6 +26,7 @@ from wafer_viewer.store.io.checksums import (
     Checksum,
     damaged,
     line_state,
+    lines_are_good,
     save_json,
     sealed_line,
     sealed_text,
@@ -168,14 +169,16 @@ def _record_text(folder: Path) -> bytes:
         raise DatasetError(f"{folder / RECORD} cannot be read: {fault.strerror}.") from fault
 
 
+class _Version(msgspec.Struct):
+    schema_version: int = 0
+
+
 def _schema_version(text: bytes) -> int:
     """Return the format version, so that a newer format is not reported as damage; 0 if unreadable."""
     try:
-        data: Any = msgspec.json.decode(text)
+        return msgspec.json.decode(text, type=_Version).schema_version
     except (msgspec.DecodeError, UnicodeDecodeError):
         return 0
-    version = data.get("schema_version", 0) if isinstance(data, dict) else 0
-    return version if isinstance(version, int) else 0
 
 
 class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=True):
@@ -192,7 +195,7 @@ class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=Tru
     provisional: bool = False
 
 
-class FrameKept(msgspec.Struct, frozen=True, tag="frame"):
+class FrameKept(msgspec.Struct, frozen=True, tag="frame", gc=False):
     """Frame written to its page: slot, trigger pulse, stage position at mid-exposure, checksum of the page."""
 
     shot: Shot
@@ -264,6 +267,8 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
 Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
 _DECODER = msgspec.json.Decoder(Line)
 _DAMAGE = (msgspec.DecodeError, ValueError)
+_BATCH_BYTES = 1 << 24
+"""Part of a journal in memory, far longer than a line."""
 
 
 class JournalReader:
@@ -274,23 +279,36 @@ class JournalReader:
 
     def new_lines(self) -> Iterator[Line]:
         """Yield the complete lines added since the last call. Raises DatasetError when one is damaged."""
-        for text in self._new_text():
-            line = self._decode(text)
+        while text := self._new_text():
+            lines = _decoded_lines(text)
+            if lines is None:
+                if not (yield from self._line_by_line(text)):
+                    return
+                continue
+            self._offset += len(text)
+            self._number += len(lines)
+            yield from lines
+
+    def _line_by_line(self, text: bytes) -> Generator[Line, None, bool]:
+        """Yield lines one by one; return whether all of them were complete."""
+        for one in text.split(b"\n")[:-1]:
+            line = self._decode(one)
             if line is None:
-                return
-            self._offset += len(text) + 1
+                return False
+            self._offset += len(one) + 1
             self._number += 1
             yield line
+        return True
 
-    def _new_text(self) -> list[bytes]:
+    def _new_text(self) -> bytes:
+        """Return the next complete lines, of about `_BATCH_BYTES` together."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
-                text = file.read()
+                text = file.read(_BATCH_BYTES)
         except OSError as fault:
             raise DatasetError(f"{self._path} cannot be read: {fault.strerror}.") from fault
-        complete = text[: text.rfind(b"\n") + 1]
-        return complete.split(b"\n")[:-1]
+        return text[: text.rfind(b"\n") + 1]
 
     def _decode(self, text: bytes) -> Line | None:
         try:
@@ -324,6 +342,18 @@ class JournalWriter:
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+
+def _decoded_lines(text: bytes) -> list[Line] | None:
+    """Decode complete lines together, in half the time; None if one is damaged or, as in older journals, unsealed."""
+    lines = text.split(b"\n")[:-1]
+    if not lines_are_good(lines):
+        return None
+    try:
+        decoded = _DECODER.decode_lines(text)
+    except _DAMAGE:
+        return None
+    return decoded if len(decoded) == len(lines) else None
 
 
 def _decoded(text: bytes) -> Line:
