@@ -10,7 +10,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +25,9 @@ from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Imag
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
+from wafer_viewer.store.dataset.frame_lines import FrameLines
 from wafer_viewer.store.dataset.frame_pages import map_pages, tags_crc32c
+from wafer_viewer.store.dataset.journal_index import LONG_LINES, JournalIndex
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.dataset.scan_record import (
     FLAT_FIELD,
@@ -76,51 +79,14 @@ class CheckReport:
         return not (self.missing or self.damaged or self.faults or any(kind.damaged for kind in self.files))
 
 
-class _FrameLines:
-    """Journal lines of frames by field and slot; the first line of a slot counts."""
-
-    def __init__(self) -> None:
-        self._of: dict[int, dict[Shot, FrameKept]] = {}
-
-    def __contains__(self, shot: Shot) -> bool:
-        return shot in self.of(shot.field)
-
-    def of(self, field: int) -> Mapping[Shot, FrameKept]:
-        """Return the lines of a field."""
-        return self._of.get(field, {})
-
-    def shots(self) -> set[Shot]:
-        """Return all slots."""
-        return {shot for lines in self._of.values() for shot in lines}
-
-    def add(self, line: FrameKept) -> None:
-        """Add a line."""
-        self._of.setdefault(line.shot.field, {}).setdefault(line.shot, line)
-
-    def add_all(self, others: _FrameLines) -> None:
-        """Add the lines of another table, which gives them up."""
-        for field, lines in others._of.items():
-            if (own := self._of.setdefault(field, lines)) is not lines:
-                for shot, line in lines.items():
-                    own.setdefault(shot, line)
-
-    def drop(self, shot: Shot) -> None:
-        """Remove a slot."""
-        self._of.get(shot.field, {}).pop(shot, None)
-
-    def drop_field(self, field: int) -> None:
-        """Remove all slots of a field."""
-        self._of.pop(field, None)
-
-
 class Dataset:
     """Dataset opened for reading, also while another process writes to it; `refresh` reads new journal lines."""
 
     def __init__(self, path: Path, scan: ScanRecord) -> None:
         self.path, self.scan = path, scan
         self._journal = JournalReader(path / JOURNAL)
-        self._frames = _FrameLines()
-        self._provisional = _FrameLines()
+        self._frames = FrameLines()
+        self._provisional = FrameLines()
         """Frames of the current pass, which count only once the pass has ended."""
         self._is_provisional = False
         self._missed: dict[Shot, Missed] = {}
@@ -129,7 +95,13 @@ class Dataset:
         self._ended = False
         self._indexed: tuple[Field, ...] = ()
         self._by_number: dict[int, Field] = {}
+        self._others: list[Line] = []
+        """Lines that tell more than that a frame was kept."""
+        self._read_index()
+        before = self._journal.n_lines
         self.refresh()
+        if self._journal.n_lines - before >= LONG_LINES and not self._is_provisional:
+            self._write_index()
 
     @classmethod
     def open(cls, path: str | Path) -> Dataset:
@@ -137,31 +109,53 @@ class Dataset:
         folder = Path(path)
         return cls(folder, read_record(folder))
 
+    def _read_index(self) -> None:
+        """Take over what the index knows of the journal, if there is one."""
+        index = JournalIndex.read(self.path / JOURNAL)
+        if index is not None:
+            for line in index.others:
+                self._apply(line)
+            self._frames, self._ended = FrameLines(index.table), index.ended
+            self._journal.skip(index.n_bytes, index.n_lines)
+
+    def _write_index(self) -> None:
+        """Write the index of a long journal, where the folder can be written to."""
+        at = self._journal
+        with suppress(DatasetError, OverflowError):
+            table = self._frames.table()
+            JournalIndex(at.n_bytes, at.n_lines, self._ended, tuple(self._others), table).write(self.path / JOURNAL)
+
     def refresh(self) -> None:
         """Read the journal's new lines."""
         for line in self._journal.new_lines():
-            match line:
-                case FrameKept():
-                    (self._provisional if self._is_provisional else self._frames).add(line)
-                case Missed():
-                    self._missed[line.shot] = line
-                    self._provisional.drop(line.shot)
-                case PassEnded():
-                    self._frames.add_all(self._provisional)
-                    self._provisional, self._is_provisional = _FrameLines(), False
-                case FaultNoted():
-                    self._faults.append(line.what)
-                case FocusAtEnd():
-                    self._focus_at_end[line.field] = line.low, line.high
-                case WindowChanged():
-                    self._change_window(line)
-                case PassBegun():
-                    self._provisional, self._is_provisional = _FrameLines(), line.provisional
-                    self._ended = False
-                case Finished():
-                    self._ended = True
-                case _:
-                    pass
+            if type(line) is FrameKept:
+                (self._provisional if self._is_provisional else self._frames).add(line)
+            else:
+                self._apply(line)
+
+    def _apply(self, line: Line) -> None:
+        match line:
+            case PassEnded():
+                self._frames.add_all(self._provisional)
+                self._provisional, self._is_provisional = FrameLines(), False
+            case PassBegun():
+                self._provisional, self._is_provisional = FrameLines(), line.provisional
+                self._ended = False
+            case Finished():
+                self._ended = True
+            case Missed():
+                self._missed[line.shot] = line
+                self._provisional.drop(line.shot)
+            case FaultNoted():
+                self._faults.append(line.what)
+            case FocusAtEnd():
+                self._focus_at_end[line.field] = line.low, line.high
+            case WindowChanged():
+                self._change_window(line)
+            case _:
+                pass
+        if isinstance(line, Missed | FaultNoted | FocusAtEnd | WindowChanged):
+            self._others.append(line)
 
     def _change_window(self, line: WindowChanged) -> None:
         self.scan = self.scan.with_window(line)
@@ -251,7 +245,7 @@ class Dataset:
         return {f.number for f in self.fields if self._is_complete(f)}
 
     def _is_complete(self, field: Field) -> bool:
-        return len(self._frames.of(field.number)) == self.scan.plan.sweep.frames_of(field) * self.n_exposures
+        return self._frames.count(field.number) == self.scan.plan.sweep.frames_of(field) * self.n_exposures
 
     def stack(self, field_number: int, exposure: int | None = None, *, verify: bool = True) -> FieldStack:
         """Return the focus stack of a field, memory-mapped; z is the recorded z times the calibrated z scale.
@@ -329,7 +323,7 @@ class Dataset:
                 faults.append(str(fault))
                 continue
             damaged += bad
-            good += len(self._frames.of(field.number)) - len(bad)
+            good += self._frames.count(field.number) - len(bad)
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
         return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
 

@@ -277,6 +277,20 @@ class JournalReader:
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._number = path, 0, 0
 
+    @property
+    def n_bytes(self) -> int:
+        """Bytes that were read."""
+        return self._offset
+
+    @property
+    def n_lines(self) -> int:
+        """Lines that were read."""
+        return self._number
+
+    def skip(self, n_bytes: int, n_lines: int) -> None:
+        """Continue after lines that are known."""
+        self._offset, self._number = n_bytes, n_lines
+
     def new_lines(self) -> Iterator[Line]:
         """Yield the complete lines added since the last call. Raises DatasetError when one is damaged."""
         while text := self._new_text():

@@ -308,6 +308,7 @@ _OTHER_MENDS = {
     "findings.json": "restore it from a copy, or remove it and measure again",
     "defects.json": "restore it from a copy, or remove it and inspect again",
     "notebook.json": "restore it from a copy, or remove it: saved views and judgements are in it",
+    "journal.index.npz": "remove it: it is made again from the journal",
     "surface.json": "remove it: it is made again from the stitched surface",
 }
 
