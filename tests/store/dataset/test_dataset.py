@@ -26,7 +26,7 @@ from tests.support.datasets.samples import (
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.dataset import frame_pages
+from wafer_viewer.store.dataset import frame_pages, scan_record
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import holder_of
 from wafer_viewer.store.dataset.writer import DatasetWriter
@@ -349,6 +349,19 @@ def test_what_can_be_wrong_with_a_dataset_is_one_sentence(tmp_path, harm, senten
 def test_a_path_that_is_not_there():
     with pytest.raises(DatasetError, match="does not exist: check the path"):
         Dataset.open("/nowhere/at/all.wafer")
+
+
+def test_a_large_record_is_read_once_until_it_changes(tmp_path, monkeypatch):
+    monkeypatch.setattr(scan_record, "_LARGE_BYTES", 1)
+    path = scanned(tmp_path / "a.wafer").path
+    record = Dataset.open(path).scan
+    assert Dataset.open(path).scan is record
+    other = msgspec.structs.replace(record, rig="another rig")
+    scan_record.write_record(path, other)
+    assert Dataset.open(path).scan == other
+    (path / scan_record.RECORD).unlink()
+    with pytest.raises(DatasetError, match="is not a dataset"):
+        Dataset.open(path)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Generator, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -24,7 +25,9 @@ from wafer_viewer.store.dataset.frame_pages import PageShape
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import (
     Checksum,
+    FileMark,
     damaged,
+    file_mark,
     line_state,
     lines_are_good,
     save_json,
@@ -130,7 +133,23 @@ def write_record(folder: Path, record: ScanRecord) -> None:
 
 
 def read_record(folder: Path) -> ScanRecord:
-    """Read ``scan.json``. Raises DatasetError when the folder is no dataset or has a newer format."""
+    """Read ``scan.json``; an unchanged large one is read once per process, as each task of a worker opens its dataset.
+
+    Raises DatasetError when the folder is no dataset or has a newer format.
+    """
+    path = folder / RECORD
+    if path.is_file() and path.stat().st_size >= _LARGE_BYTES:
+        return _large_record(folder, file_mark(path))
+    return _record(folder)
+
+
+@lru_cache(maxsize=2)
+def _large_record(folder: Path, mark: FileMark) -> ScanRecord:
+    """Return the record in a state of its file."""
+    return _record(folder)
+
+
+def _record(folder: Path) -> ScanRecord:
     text = _record_text(folder)
     if text_state(text) is Checksum.DAMAGED:
         raise damaged(folder / RECORD)
@@ -267,6 +286,8 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
 Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
 _DECODER = msgspec.json.Decoder(Line)
 _DAMAGE = (msgspec.DecodeError, ValueError)
+_LARGE_BYTES = 1 << 22
+"""Size from which a record takes 50 ms and more to decode."""
 _BATCH_BYTES = 1 << 24
 """Part of a journal in memory, far longer than a line."""
 
