@@ -86,12 +86,9 @@ def replace(item: R, **changes: Any) -> R:
 def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> S:
     """Read a spec from TOML or JSON `text`; errors refer to the text by `name`, usually a file name."""
     try:
-        data = (
-            tomllib.loads(text.decode() if isinstance(text, bytes) else text)
-            if form == "toml"
-            else msgspec.json.decode(text)
-        )
-        return msgspec.convert(data, kind)
+        if form == "json":
+            return msgspec.json.decode(text, type=kind)
+        return msgspec.convert(tomllib.loads(text.decode() if isinstance(text, bytes) else text), kind)
     except (tomllib.TOMLDecodeError, msgspec.DecodeError, UnicodeDecodeError) as fault:
         raise kind.error(f"{name}: {_plain(str(fault))}.") from fault
     except WaferViewerError as fault:
@@ -174,12 +171,16 @@ def _type_check(hint: Any) -> Check:
     if origin in (typing.Union, types.UnionType):
         return _union_check([_type_check(a) for a in args])
     if origin is tuple and len(args) == 2 and args[1] is Ellipsis:
-        return _sequence_check(_type_check(args[0]))
+        return _sequence_check(_type_check(args[0]), args[0])
     return lambda v: None if _is_a(v, hint) else _type_name(hint)
 
 
 def _number_check(kind: type) -> Check:
     def check(value: Any) -> str | None:
+        if type(value) is int:  # nearly all values are of a plain type, and a plan has a million of them
+            return None
+        if type(value) is float and kind is float:
+            return None if math.isfinite(value) else "a finite number"
         if isinstance(value, bool) or not isinstance(value, (int, float) if kind is float else int):
             return "a number" if kind is float else "a whole number"
         return None if math.isfinite(value) else "a finite number"
@@ -195,10 +196,14 @@ def _union_check(checks: list[Check]) -> Check:
     return check
 
 
-def _sequence_check(item: Check) -> Check:
+def _sequence_check(item: Check, kind: Any) -> Check:
+    of_structs = isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
     def check(value: Any) -> str | None:
         if not isinstance(value, tuple):
             return "a list"
+        if of_structs and {type(v) for v in typing.cast(tuple[Any, ...], value)} <= {kind}:
+            return None  # valid since they were made; a plan has a million of them
         wrong = next((w for v in typing.cast(tuple[Any, ...], value) if (w := item(v)) is not None), None)
         return None if wrong is None else f"a list, each {wrong}"
 

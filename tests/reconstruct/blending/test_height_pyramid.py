@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import islice
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.pyramid_level import halve
-from wafer_viewer.reconstruct.blending.stitched_mosaic import LAYERS, halved
+from wafer_viewer.reconstruct.blending.mosaic_layout import layout
+from wafer_viewer.reconstruct.blending.stitched_mosaic import (
+    LAYERS,
+    StitchedMosaic,
+    coarser_levels,
+    layers_of,
+    mosaic_provenance,
+)
+from wafer_viewer.reconstruct.comparison.height_difference import as_pyramid
 
 MakeMap = Callable[..., HeightMap]
+
+
+def halved(height: HeightMap) -> HeightMap:
+    return next(coarser_levels(height))
 
 
 @settings(max_examples=30)
@@ -49,7 +64,7 @@ def test_a_three_pixel_defect_is_still_there_at_the_top(make_map: MakeMap) -> No
 
 def test_the_lattice_stays_where_it_is(make_map: MakeMap) -> None:
     base = make_map(np.add.outer(-np.arange(64) * 0.5, np.arange(32) * 0.5))
-    half = halved(halved(base))
+    half = next(islice(coarser_levels(base), 1, None))
     np.testing.assert_allclose(half.z_um, half.y_um[:, None] + half.x_um[None, :], atol=1e-5)
 
 
@@ -63,3 +78,30 @@ def test_uncovered_grey_does_not_darken_the_border(make_map: MakeMap) -> None:
     grey = np.array([[200, 0], [200, 0]], np.uint8)
     origin = np.array([[0, 10], [0, 10]], np.uint8)
     assert halved(make_map(np.zeros((2, 2)), all_in_focus=grey, origin=origin)).all_in_focus.tolist() == [[200]]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pixel_of_every_level_is_the_mean_of_the_measured_pixels_of_the_map(make_map: MakeMap, seed: int) -> None:
+    base = with_gaps(make_map(np.zeros((90, 133))), seed)
+    for level, coarse in enumerate(islice(coarser_levels(base), 7), 1):
+        assert_level(layers_of(coarse), base, level)
+    layers = layers_of(base)
+    for level in range(1, 8):
+        layers = halve(layers)
+        assert_level(layers, base, level)
+
+
+def test_levels_that_are_computed_when_they_are_read_are_such_means_too(make_map: MakeMap) -> None:
+    base = with_gaps(make_map(np.zeros((1100, 700))))
+    mosaic = StitchedMosaic([base], layout([base]), mosaic_provenance([base.provenance], Recipe()))
+    for level in (2, mosaic.levels - 1):
+        expected = {name: layer for name, layer in layers_of(base).items() if name != "overlap_um"}
+        read = layers_of(mosaic.window(level=level))
+        assert_level({name: read[name] for name in expected}, base, level)
+        assert_level(layers_of(as_pyramid(base).window(level=level)), base, level)
+
+
+def test_grey_does_not_rise_from_level_to_level(make_map: MakeMap) -> None:
+    grey = np.random.default_rng(4).integers(0, 255, (1024, 1024)).astype(np.uint8)
+    top = next(islice(coarser_levels(make_map(np.zeros(grey.shape), all_in_focus=grey)), 6, None))
+    assert top.all_in_focus.mean() == pytest.approx(grey.mean(), abs=0.2)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import shutil
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from tests.truth.field_grid import SMALL, make
 from wafer_viewer.compute.task_runner import LocalRunner
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
+from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.mosaic.poses_file import write_poses
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin", "overlap_um")
 
@@ -104,6 +108,61 @@ def test_a_field_made_again_is_shown_as_it_is_now(dataset, made):
     bring_up_to_date(dataset, RESULT, REGISTERED)
     poses = stored.poses()
     assert poses.z_um[0] - np.median(poses.z_um[1:]) == pytest.approx(50, abs=8)
+
+
+def test_two_runs_on_the_same_surfaces_leave_the_same_bytes(made, tmp_path):
+    results = []
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        dataset = make_dataset(tmp_path / folder / "grid.wafer", made)
+        stored = add_surfaces(dataset, made, range(6))
+        for file in (stored.path / "surfaces").iterdir():
+            os.utime(file, ns=(0, len(results) + file.stat().st_size))
+        bring_up_to_date(dataset, RESULT, REGISTERED)
+        results.append({file.relative_to(stored.path): file.read_bytes() for file in _files(stored.path)})
+    assert results[0].keys() == results[1].keys()
+    assert len(results[0]) > 20
+    assert [name for name, content in results[0].items() if content != results[1][name]] == []
+
+
+def test_poses_of_an_earlier_version_with_times_of_files_still_hold(dataset, made):
+    stored = add_surfaces(dataset, made, range(4))
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    poses = stored.poses()
+    times = np.array([stored.field_stamp(field) for field in made.fields[:4]])
+    assert (poses.marks < 2**32).all()
+    write_poses(dataclasses.replace(poses, marks=times), stored.path / "poses.npz")
+    stored.save_surface(made.fields[1], dataclasses.replace(made.heights[1], z_um=made.heights[1].z_um + 1))
+    previous = StitchingInputs.open(dataset, RESULT, REGISTERED).previous_solution()
+    assert previous.unchanged.tolist() == [True, False, True, True]
+
+
+def test_a_surface_that_is_written_again_with_the_same_content_changes_nothing(dataset, made):
+    stored = add_surfaces(dataset, made, range(4))
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    add_surfaces(dataset, made, [2])
+    assert StitchingInputs.open(dataset, RESULT, REGISTERED).previous_solution().unchanged.all()
+    shown = {file: file.stat().st_mtime_ns for file in stored.mosaic_path.rglob("*/0/c/*/*")}
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    assert {file: file.stat().st_mtime_ns for file in stored.mosaic_path.rglob("*/0/c/*/*")} == shown
+
+
+def _files(folder):
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_mosaic_of_an_earlier_version_is_drawn_anew_when_a_field_changes(dataset, made):
+    stored = add_surfaces(dataset, made, range(4))
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    shutil.rmtree(stored.mosaic_path / "n_origin")
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    assert not (stored.mosaic_path / "n_origin").exists()
+    before = stored.poses()
+    add_surfaces(dataset, made, [4])
+    info = bring_up_to_date(dataset, RESULT, REGISTERED, final=False)
+    assert (stored.mosaic_path / "n_origin").exists()
+    assert info.changed == ()
+    np.testing.assert_array_equal(stored.poses().x_um[:4], before.x_um)
 
 
 def test_what_was_broken_off_is_made_anew(dataset, made):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
 import msgspec
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import tifffile
 from PIL import Image as PillowImage
 
+from tests.bench import bench_index
 from tests.support.datasets.samples import (
     CALIBRATION,
     COLS,
@@ -24,7 +26,7 @@ from tests.support.datasets.samples import (
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.dataset import frame_pages
+from wafer_viewer.store.dataset import frame_pages, scan_record
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import holder_of
 from wafer_viewer.store.dataset.writer import DatasetWriter
@@ -347,3 +349,29 @@ def test_what_can_be_wrong_with_a_dataset_is_one_sentence(tmp_path, harm, senten
 def test_a_path_that_is_not_there():
     with pytest.raises(DatasetError, match="does not exist: check the path"):
         Dataset.open("/nowhere/at/all.wafer")
+
+
+def test_a_large_record_is_read_once_until_it_changes(tmp_path, monkeypatch):
+    monkeypatch.setattr(scan_record, "_LARGE_BYTES", 1)
+    path = scanned(tmp_path / "a.wafer").path
+    record = Dataset.open(path).scan
+    assert Dataset.open(path).scan is record
+    other = msgspec.structs.replace(record, rig="another rig")
+    scan_record.write_record(path, other)
+    assert Dataset.open(path).scan == other
+    (path / scan_record.RECORD).unlink()
+    with pytest.raises(DatasetError, match="is not a dataset"):
+        Dataset.open(path)
+
+
+@pytest.mark.slow
+def test_a_journal_of_very_many_passes_opens_in_time_proportional_to_it(tmp_path):
+    path = bench_index.make(tmp_path / "many.wafer", 20_000, 3)
+    began = time.process_time()
+    data = Dataset.open(path)
+    assert time.process_time() - began < 8, "copying the frames at the end of each pass took ten times as long"
+    assert data.complete_fields() == {field.number for field in data.fields}
+    assert data.field(data.fields[-1].number) is data.fields[-1]
+    assert data.finished
+    assert len(data.kept()) == 3 * len(data.fields)
+    assert data.result().surfaces_done(data.fields) == set()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import msgspec
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.dataset import scan_record
 from wafer_viewer.store.dataset.scan_record import FaultNoted, FrameKept, JournalReader, JournalWriter, Missed, Repaired
 from wafer_viewer.store.io.atomic_files import natural_sort_key
 
@@ -68,6 +70,43 @@ def test_a_line_is_read_once_it_is_whole(journal):
     with journal.open("ab") as file:
         file.write(text[9:])
     assert list(reader.new_lines()) == [line]
+
+
+@pytest.fixture
+def long_journal(journal, monkeypatch):
+    """A journal of many parts, and its lines."""
+    monkeypatch.setattr(scan_record, "_BATCH_BYTES", 1000)
+    lines = [Repaired(Shot(n, n % 7)) for n in range(200)]
+    journal.unlink(missing_ok=True)
+    writer = JournalWriter(journal)
+    for line in lines:
+        writer.write(line)
+    writer.close()
+    return journal, lines
+
+
+def test_a_long_journal_is_read_in_parts(long_journal):
+    journal, lines = long_journal
+    assert journal.stat().st_size > 10_000
+    assert read(journal) == lines
+    content = journal.read_bytes()
+    journal.write_bytes(content[:-5])
+    assert read(journal) == lines[:-1]
+    plain = b"".join(msgspec.json.encode(line) + b"\n" for line in lines)
+    journal.write_bytes(plain)
+    assert read(journal) == lines, "journals of older versions have no checksums"
+
+
+@pytest.mark.parametrize("number", [1, 57, 199])
+def test_a_damaged_line_of_a_long_journal_is_named_and_those_before_it_are_read(long_journal, number):
+    journal, lines = long_journal
+    texts = journal.read_bytes().split(b"\n")
+    texts[number - 1] = texts[number - 1].replace(b"repaired", b"repaireb")
+    journal.write_bytes(b"\n".join(texts))
+    reader = JournalReader(journal).new_lines()
+    assert list(itertools.islice(reader, number - 1)) == lines[: number - 1]
+    with pytest.raises(DatasetError, match=f"is damaged in line {number}:"):
+        next(reader)
 
 
 def test_a_line_of_an_unknown_kind_is_damage(journal):

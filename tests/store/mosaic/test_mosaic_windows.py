@@ -12,6 +12,7 @@ import pytest
 import zarr
 
 from tests.support.datasets.samples import Source, assert_same_surface
+from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin, Provenance
@@ -58,6 +59,26 @@ def test_windows_made_again_are_as_if_all_had_been_made_again(stored, tmp_path, 
             np.testing.assert_array_equal(ours, theirs)
     for name in ("counts", "lowest_um", "highest_um", "heights_um", "overlaps_um"):
         np.testing.assert_array_equal(getattr(copy.facts(), name), getattr(anew.facts(), name), err_msg=name)
+
+
+@pytest.mark.parametrize("windows", WINDOWS)
+def test_levels_are_means_of_measured_pixels_after_windows_were_made_again(tmp_path, surface, windows):
+    gappy, other = with_gaps(surface, 1), with_gaps(surface, 2)
+    stored = write_mosaic(tmp_path / "m.zarr", gappy)
+    layers = {name: layer.copy() for name, layer in layers_of(gappy).items()}
+    for part in windows:
+        for name, layer in layers_of(other).items():
+            layers[name][part] = layer[part]
+    changed = dataclasses.replace(gappy, **layers)
+    write_windows(stored.path, changed, windows)
+    for level in range(1, stored.levels):
+        rows, cols = (slice(0, n) for n in stored.header.shape_of(level))
+        assert_level(stored.layers(level, rows, cols), changed, level)
+
+
+def layers_of(surface):
+    names = [item.name for item in dataclasses.fields(surface)]
+    return {name: layer for name in names if isinstance(layer := getattr(surface, name), np.ndarray)}
 
 
 def changed_within(surface, windows):

@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.support.datasets.samples import assert_same_surface, make_surface
+from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.measure.base.height_samples import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.pyramid_layers import COUNTS
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.missing_shards import missing_files
@@ -91,13 +93,34 @@ def test_a_pixel_of_a_level_is_the_mean_of_what_it_stands_for(stored, surface, l
     assert coarse.y_um[0] == pytest.approx(surface.y_um[:n].mean())
 
 
-def test_the_span_of_a_coarse_pixel_holds_every_height_below_it(stored, surface):
+def test_every_level_is_the_mean_of_the_measured_pixels_of_level_0(tmp_path, surface):
+    gappy = with_gaps(surface)
+    stored = write_mosaic(tmp_path / "m.zarr", gappy)
+    for level in range(1, stored.levels):
+        assert_level(stored.layers(level, *all_of(stored, level)), gappy, level)
+    assert list(missing_files(stored)) == []
+
+
+def test_a_level_knows_how_many_pixels_its_means_are_of(tmp_path, surface):
+    gappy = with_gaps(surface)
+    stored = write_mosaic(tmp_path / "m.zarr", gappy)
+    top = stored.levels - 1
+    layers = stored.layers(top, *all_of(stored, top))
+    assert layers["n_covered"].sum() == (gappy.origin != Origin.NOT_COVERED).sum()
+    assert layers["n_overlap"].sum() == np.isfinite(gappy.overlap_um).sum()
+    row, col = np.argwhere(layers["origin"] == Origin.MEASURED)[-1]
+    below = np.s_[row * 2**top : (row + 1) * 2**top, col * 2**top : (col + 1) * 2**top]
+    assert layers["n_origin"][row, col] == gappy.measured[below].sum()
+    assert (layers["n_origin"][layers["origin"] == Origin.NOT_COVERED] == 0).all()
+
+
+def test_the_span_of_a_coarse_pixel_holds_every_measured_height_below_it(stored, surface):
     low, high = stored.span(None, 2)
-    padded = np.pad(surface.z_um, ((0, 2), (0, 3)), constant_values=np.nan)
-    blocks = padded.reshape(38, 4, 51, 4)
+    measured = np.where(surface.measured, surface.z_um, np.nan)
+    blocks = np.pad(measured, ((0, 2), (0, 3)), constant_values=np.nan).reshape(38, 4, 51, 4)
     np.testing.assert_array_equal(low, np.fmin.reduce(blocks, axis=(1, 3)))
     np.testing.assert_array_equal(high, np.fmax.reduce(blocks, axis=(1, 3)))
-    assert_array_equal_pair(stored.span(None, 0), surface.z_um)
+    assert_array_equal_pair(stored.span(None, 0), measured)
 
 
 def assert_array_equal_pair(pair, expected):
@@ -128,7 +151,8 @@ def test_halving_invents_nothing(heights, origins):
             continue
         expected = z[block][origins[block] == best].astype(float).mean()
         assert half["z_um"][row, col] == pytest.approx(expected, abs=1e-4)
-        assert half["z_min_um"][row, col] == np.nanmin(z[block])
+        measured = z[block][origins[block] == 0]
+        assert half["z_min_um"][row, col] == measured.min() if measured.size else np.isnan(half["z_min_um"][row, col])
         assert np.isnan(half["z_raw_um"][row, col]) == (best != 0)
 
 
@@ -251,7 +275,44 @@ def test_each_layer_is_an_image_of_the_format(stored):
     for name in layout.FILLS:
         image = models.Image.from_zarr(root[name])
         scales = [d.coordinateTransformations for d in image.attributes.ome.multiscales[0].datasets]
-        assert len(scales) == (stored.levels - 1 if name in layout.SPANS else stored.levels)
+        assert len(scales) == (stored.levels - 1 if name in layout.FROM_LEVEL_1 else stored.levels)
+
+
+def test_the_root_is_an_image_of_the_format_with_a_pyramid_for_each_layer(stored):
+    models = pytest.importorskip("ome_zarr_models.v05")
+    image = models.Image.from_zarr(zarr.open_group(stored.path, mode="r"))
+    multiscales = image.attributes.ome.multiscales
+    assert [one.name for one in multiscales] == list(layout.FILLS)
+    assert multiscales[0].name == "z_um"
+    for one in multiscales:
+        alone = models.Image.from_zarr(zarr.open_group(stored.path / one.name, mode="r")).attributes.ome.multiscales[0]
+        places = [dataset.coordinateTransformations for dataset in one.datasets]
+        assert places == [dataset.coordinateTransformations for dataset in alone.datasets]
+        assert [d.path for d in one.datasets] == [f"{one.name}/{d.path}" for d in alone.datasets]
+
+
+@pytest.mark.parametrize("layer", ["", "all_in_focus"])
+def test_another_reader_sees_every_level_where_it_lies_on_the_stage(stored, surface, layer):
+    ngff_zarr = pytest.importorskip("ngff_zarr")
+    images = ngff_zarr.from_ngff_zarr(str(stored.path / layer), version="0.5").images
+    assert len(images) == stored.levels
+    for level, image in enumerate(images):
+        ours = stored.window(level=level)
+        assert image.dims == ("y", "x")
+        assert image.axes_units == {"y": "micrometer", "x": "micrometer"}
+        for axis, um in (("x", ours.x_um), ("y", -ours.y_um)):
+            n = image.data.shape[image.dims.index(axis)]
+            np.testing.assert_allclose(image.translation[axis] + np.arange(n) * image.scale[axis], um, atol=1e-9)
+        np.testing.assert_array_equal(np.asarray(image.data), getattr(ours, layer or "z_um"))
+
+
+def test_two_mosaics_lie_beside_each_other_as_on_the_stage(stored, tmp_path, surface):
+    ngff_zarr = pytest.importorskip("ngff_zarr")
+    right_um, up_um = 300.0, 40.0
+    moved = dataclasses.replace(surface, x0_um=surface.x0_um + right_um, y0_um=surface.y0_um + up_um)
+    other = write_mosaic(tmp_path / "m.zarr", moved)
+    a, b = (ngff_zarr.from_ngff_zarr(str(one.path), version="0.5").images[0].translation for one in (stored, other))
+    assert (b["x"] - a["x"], b["y"] - a["y"]) == pytest.approx((right_um, -up_um))
 
 
 def test_other_programs_may_write_shards_that_we_read(stored, tmp_path, surface):
@@ -302,6 +363,22 @@ def test_a_mosaic_of_an_earlier_version_is_read_and_goes_on_without_uncertaintie
         write_patch(old.path, surface, patch)
     assert old.window(level=1).u_um is None
     assert not (old.path / "u_um").exists()
+    assert list(missing_files(old)) == []
+
+
+def test_a_mosaic_of_an_earlier_version_without_counts_is_read_and_can_be_written(tmp_path, surface):
+    stored = write_mosaic(tmp_path / "m.zarr", surface)
+    assert stored.is_current
+    for name in COUNTS:
+        shutil.rmtree(stored.path / name)
+    old = ZarrMosaic.open(stored.path)
+    assert not old.is_current
+    for level in range(stored.levels):
+        assert_same_surface(old.window(level=level), stored.window(level=level))
+    for patch in patches(surface.shape):
+        write_patch(old.path, surface, patch)
+    assert not (old.path / "n_origin").exists()
+    assert_same_surface(old.window(), surface)
     assert list(missing_files(old)) == []
 
 

@@ -30,6 +30,7 @@ _DARK_PLATE = (21, 32, 43)
 _MOST_NUMBERS = 150
 """Beyond this count field numbers are shown only on the map in the panel."""
 _OVERLAP_PX = 1000
+_AT_ZERO = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
 
 
 def field_box(field: Field, width_um: float, height_um: float) -> Box:
@@ -155,7 +156,20 @@ def _path(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[floa
 def flat_items(
     fields: list[Field], taken: set[int], width_um: float, height_um: float, z: float, dark: bool
 ) -> list[SceneItem]:
-    """Return fields without a surface, flat with their numbers; dashed until their frames are taken."""
+    """Return fields without a surface, flat with their numbers; dashed until their frames are taken.
+
+    Very many are two items of lines: fields that are taken, and the others.
+    """
+    if len(fields) > _MOST_NUMBERS:
+        parts = {"taken": [f for f in fields if f.number in taken]}
+        parts["rest"] = [f for f in fields if f.number not in taken]
+        return [
+            SceneItem(
+                f"flat/{name}", (tuple(f.number for f in part), width_um, height_um, z, dark),
+                partial(_flat_many, fields=part, size_um=(width_um, height_um), taken=name == "taken", z=z, dark=dark),
+            )
+            for name, part in parts.items() if part
+        ]  # fmt: skip
     return [
         SceneItem(
             f"flat/{f.number}", (f, f.number in taken, width_um, height_um, z, dark),
@@ -177,6 +191,25 @@ def _flat(
         lines(scene, f"{name}/frame", edge if taken else dashed(edge, 0.08 * unit), ink, 1.8),
         word(scene, f"{name}/number", str(field.number), centre, 0.3 * unit, ink),
     )
+
+
+def _flat_many(
+    scene: viser.SceneApi,
+    name: str,
+    _: bytes,
+    *,
+    fields: list[Field],
+    size_um: tuple[float, float],
+    taken: bool,
+    z: float,
+    dark: bool,
+) -> Handle:
+    middles = np.array([(f.x_um, f.y_um) for f in fields]) * 1e-3
+    unit = min(size_um) * 1e-3
+    one = rectangle(field_box(_AT_ZERO, *size_um), z + 0.01 * unit)
+    edges = one[None] + np.pad(middles, ((0, 0), (0, 1)))[:, None, None].astype(np.float32)
+    ink = colours(dark).accent if taken else colours(dark).ink
+    return lines(scene, name, edges.reshape(-1, 2, 3), ink, 1.8)
 
 
 def box_edges(box: Box, low: float, high: float) -> NDArray[np.float32]:

@@ -120,6 +120,8 @@ COLOUR_BY: dict[str, ColourBy] = {
 TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name for name, key in COLOUR_BY.items()}}
 NEVER_NEGATIVE = ("confidence", "uncertainty", "slope", "overlap")
 STITCHED, COMPARED = "Stitched surface", "Comparison"
+MOST_LISTED = 500
+"""Fields in the list of surfaces, which a browser can scroll; the others are chosen on the map."""
 FULL_BLEND = 0.4
 """Opacity of the all-in-focus picture when it is switched on."""
 FULL_SHADE = 0.8
@@ -278,7 +280,7 @@ class SurfacePanel:
 
     def _show_look(self, data: OpenDataset | None, view: View) -> None:
         self._look.show(view.look)
-        fields = [f"Field {number}" for number in sorted(data.stamps)] if data else []
+        fields = [f"Field {number}" for number in _listed(data, view.show)]
         options = (STITCHED, *((COMPARED,) if view.show < 0 else ()), *fields)
         if tuple(self._shown.handle.options) != options:
             self._shown.handle.options = options
@@ -419,3 +421,12 @@ def _down(value: float, step: float) -> float:
 
 def _up(value: float, step: float) -> float:
     return round(-((-value) // step) * step, 6)
+
+
+def _listed(data: OpenDataset | None, show: int) -> list[int]:
+    """Return the numbers of the fields in the list of surfaces: the first of very many, and the one that is shown."""
+    if data is None:
+        return []
+    numbers = sorted(data.stamps)
+    others = [show] if show in data.stamps and show not in numbers[:MOST_LISTED] else []
+    return numbers[:MOST_LISTED] + others

@@ -1,6 +1,7 @@
 """Scan plans: fields, focus sweep, pulses, legs of motion and priced strategies.
 
 Stage coordinates are in um, right-handed, z towards the objective. A field's (x_um, y_um) is the centre of its frame.
+Specs of which a plan has very many hold no references that the collector of cycles would have to follow.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ MIN_FRAMES = 3
 FrameCount = Annotated[int, Within(MIN_FRAMES, 65535)]
 
 
-class Field(Spec, frozen=True, kw_only=True, omit_defaults=True):
+class Field(Spec, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """One camera position: number from 1, row and column in the grid, centre, and lowest z of its sweep.
 
     n_frames: length of its own z window; None for the whole sweep.
@@ -161,7 +162,7 @@ class FocusSweep(Spec, frozen=True, kw_only=True):
         return self.z_um(field, self.frames_of(field) - 1)
 
 
-class Shot(msgspec.Struct, frozen=True, array_like=True):
+class Shot(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """Slot of one pulse: field number, frame k of its sweep, index of the exposure."""
 
     field: int
@@ -169,7 +170,7 @@ class Shot(msgspec.Struct, frozen=True, array_like=True):
     exposure: int = 0
 
 
-class PulseTrain(Spec, frozen=True, kw_only=True):
+class PulseTrain(Spec, frozen=True, kw_only=True, gc=False):
     """Pulses sent while an axis moves: the first at a scale count, then one every counts_per_frame."""
 
     axis: Axis

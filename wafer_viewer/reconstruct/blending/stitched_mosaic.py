@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -41,17 +42,19 @@ def layers_of(height: HeightMap) -> dict[str, NDArray[Any]]:
     return {name: layer for name, layer in layers.items() if layer is not None}
 
 
-def halved(height: HeightMap) -> HeightMap:
-    """Return the next pyramid level: each pixel is the mean of the measured ones of 2 x 2."""
-    layers = layers_of(height)
-    half = halve(layers)
-    return dataclasses.replace(
-        height,
-        **{name: half[name] for name in layers},
-        pixel_um=2 * height.pixel_um,
-        x0_um=height.x0_um + 0.5 * height.pixel_um,
-        y0_um=height.y0_um - 0.5 * height.pixel_um,
-    )
+def coarser_levels(height: HeightMap) -> Iterator[HeightMap]:
+    """Yield the pyramid levels of a map from level 1 on: each pixel is the mean of the measured ones below it."""
+    names, layers = layers_of(height), layers_of(height)
+    for level in itertools.count(1):
+        layers, shift = halve(layers), (2**level - 1) / 2
+        yield dataclasses.replace(
+            height,
+            **{name: layers[name] for name in names},
+            refused=None,
+            pixel_um=height.pixel_um * 2**level,
+            x0_um=height.x0_um + shift * height.pixel_um,
+            y0_um=height.y0_um - shift * height.pixel_um,
+        )
 
 
 def joined(bands: Sequence[HeightMap]) -> HeightMap:
@@ -70,7 +73,7 @@ _BAND_PX = 2**23
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StitchedMosaic:
-    """A mosaic that is blended when a window of it is requested; level 1 and up are 2 x 2 means."""
+    """A mosaic that is blended when a window of it is requested; level 1 and up are means of it."""
 
     heights: Sequence[HeightMap]
     layout: MosaicLayout
@@ -128,9 +131,7 @@ class StitchedMosaic:
             for part, n in zip((rows, cols), self.shape, strict=True)
         )
         height = blend_window(self.heights, fine_rows, fine_cols, self.layout, self.provenance)
-        for _ in range(level):
-            height = halved(height)
-        return height
+        return next(itertools.islice(itertools.chain([height], coarser_levels(height)), level, None))
 
 
 def moved_to(heights: Sequence[HeightMap], fields: Sequence[Field]) -> list[HeightMap]:

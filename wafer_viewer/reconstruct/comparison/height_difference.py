@@ -6,7 +6,9 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +28,7 @@ from wafer_viewer.model.surface.height_map import (
     pixel_window,
 )
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
-from wafer_viewer.reconstruct.blending.stitched_mosaic import halved
+from wafer_viewer.reconstruct.blending.stitched_mosaic import coarser_levels
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 
 CHANGED_SIGMAS = 3.0
@@ -215,7 +217,6 @@ class Reduced:
     """A `Mosaic` over a map in memory."""
 
     full: HeightMap
-    _made: list[HeightMap] = field(default_factory=list[HeightMap])
 
     @property
     def pixel_um(self) -> float:
@@ -258,9 +259,11 @@ class Reduced:
     def _at(self, level: int) -> HeightMap:
         if level == 0:
             return self.full
-        while len(self._made) < level:
-            self._made.append(halved(self._made[-1] if self._made else self.full))
-        return self._made[level - 1]
+        return self._coarser[level - 1]
+
+    @cached_property
+    def _coarser(self) -> list[HeightMap]:
+        return list(islice(coarser_levels(self.full), self.levels - 1))
 
 
 def as_pyramid(surface: Mosaic) -> Mosaic:

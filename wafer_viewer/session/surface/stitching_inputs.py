@@ -5,6 +5,7 @@ Nothing stays open: workers get the names and open what they need.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 OPEN_SURFACES = 1024
 """Maximum number of memory-mapped surfaces; a growing mosaic needs all of them at each update."""
 SAME_PIXEL_FRACTION = 1e-6
+TIMES_FROM = 2**32
+"""Marks of surfaces from here on are times in ns, as earlier versions had them; others are checksums."""
 Window = tuple[slice, slice]
 
 
@@ -59,7 +62,7 @@ class FieldOutline:
 
 @dataclass(frozen=True)
 class StitchingInputs:
-    """Surfaces of a result: its fields, the stamps of their files, and a sentence for each unreadable one."""
+    """Surfaces of a result: its fields, the marks of their content, and a sentence for each unreadable one."""
 
     data: Dataset
     stored: Result
@@ -78,7 +81,7 @@ class StitchingInputs:
             raise DatasetError(
                 " ".join(faults) or f"Result {result!r} has no surfaces to stitch: reconstruct it first."
             )
-        marks = np.array([stored.field_stamp(f) for f in readable], np.int64)
+        marks = np.array([stored.field_mark(f) for f in readable], np.int64)
         return cls(data, stored, recipe, tuple(readable), marks, tuple(faults))
 
     @classmethod
@@ -119,7 +122,17 @@ class StitchingInputs:
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
             if placement != wanted or header.provenance.recipe.stitching != self.recipe.stitching:
                 poses = None
+        poses = None if poses is None else self._marked_by_content(poses)
         return PreviousSolution.of(poses, np.array(self.numbers, np.int32), self.marks)
+
+    def _marked_by_content(self, poses: Poses) -> Poses:
+        """Return poses of earlier versions, marked by times of files, with the marks of surfaces not written since."""
+        if not (poses.marks >= TIMES_FROM).any():
+            return poses
+        stamps = [(field.number, self.stored.field_stamp(field)) for field in self.fields]
+        marks = dict(zip(stamps, self.marks.tolist(), strict=True))
+        before = zip(poses.numbers.tolist(), poses.marks.tolist(), strict=True)
+        return dataclasses.replace(poses, marks=np.array([marks.get(one, one[1]) for one in before], np.int64))
 
     def _stitched(self) -> tuple[Poses | None, MosaicHeader | None]:
         """Return poses and header of a complete mosaic on disk; None for both if it is missing or damaged."""
@@ -132,9 +145,14 @@ class StitchingInputs:
         return (None, None) if poses is None else (poses, header)
 
     @property
+    def mosaic_is_current(self) -> bool:
+        """True if the mosaic on disk has all layers of this version."""
+        return ZarrMosaic.open(self.stored.mosaic_path).is_current
+
+    @property
     def surfaces(self) -> Surfaces:
         """Height maps, each opened on access."""
-        return Surfaces(self.stored, self.fields, self.marks)
+        return Surfaces(self.stored, self.fields)
 
     def mosaic(self, poses: Poses, provenance: Provenance) -> StitchedMosaic:
         """Return the mosaic to be drawn."""
@@ -142,7 +160,7 @@ class StitchingInputs:
 
     def provenance(self, poses: Poses) -> Provenance:
         """Return the provenance of the mosaic: the common values of its fields, and all notes."""
-        opened = (_opened(self.stored, *name, verify=False) for name in zip(self.fields, self.marks, strict=True))
+        opened = (_opened(self.stored, f, self.stored.field_stamp(f), verify=False) for f in self.fields)
         joint = mosaic_provenance([surface.provenance for surface in opened], self.recipe)
         return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
 
@@ -162,12 +180,11 @@ class StitchingInputs:
 class Surfaces(Sequence[HeightMap]):
     """Height maps of fields, each opened on access."""
 
-    def __init__(self, stored: Result, fields: Sequence[Field], marks: Iterable[int]) -> None:
-        self._stored = stored
-        self._names = list(zip(fields, marks, strict=True))
+    def __init__(self, stored: Result, fields: Sequence[Field]) -> None:
+        self._stored, self._fields = stored, fields
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._fields)
 
     @overload
     def __getitem__(self, n: int) -> HeightMap: ...
@@ -176,19 +193,19 @@ class Surfaces(Sequence[HeightMap]):
     def __getitem__(self, n: int | slice) -> HeightMap | list[HeightMap]:
         if isinstance(n, slice):
             return [self[i] for i in range(len(self))[n]]
-        return _opened(self._stored, *self._names[n])
+        field = self._fields[n]
+        return _opened(self._stored, field, self._stored.field_stamp(field))
 
 
 def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
     """Return the height maps of some fields, in their present state."""
     data = Dataset.open(dataset)
     stored = data.result(result)
-    fields = [data.field(number) for number in numbers]
-    return Surfaces(stored, fields, [stored.field_stamp(f) for f in fields])
+    return Surfaces(stored, [data.field(number) for number in numbers])
 
 
 @lru_cache(maxsize=OPEN_SURFACES)
-def _opened(stored: Result, field: Field, mark: int, verify: bool = True) -> HeightMap:
+def _opened(stored: Result, field: Field, stamp: int, verify: bool = True) -> HeightMap:
     """Return a surface from the cache; its stamp is part of the key, so that a recomputed one is read again."""
     return stored.surface(field, verify=verify)
 

@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import zlib
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +25,9 @@ from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Imag
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
+from wafer_viewer.store.dataset.frame_lines import FrameLines
 from wafer_viewer.store.dataset.frame_pages import map_pages, tags_crc32c
+from wafer_viewer.store.dataset.journal_index import LONG_LINES, JournalIndex
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.dataset.scan_record import (
     FLAT_FIELD,
@@ -82,15 +85,23 @@ class Dataset:
     def __init__(self, path: Path, scan: ScanRecord) -> None:
         self.path, self.scan = path, scan
         self._journal = JournalReader(path / JOURNAL)
-        self._frames: dict[Shot, FrameKept] = {}
-        self._provisional: dict[Shot, FrameKept] = {}
+        self._frames = FrameLines()
+        self._provisional = FrameLines()
         """Frames of the current pass, which count only once the pass has ended."""
         self._is_provisional = False
         self._missed: dict[Shot, Missed] = {}
         self._faults: list[str] = []
         self._focus_at_end: dict[int, tuple[bool, bool]] = {}
         self._ended = False
+        self._indexed: tuple[Field, ...] = ()
+        self._by_number: dict[int, Field] = {}
+        self._others: list[Line] = []
+        """Lines that tell more than that a frame was kept."""
+        self._read_index()
+        before = self._journal.n_lines
         self.refresh()
+        if self._journal.n_lines - before >= LONG_LINES and not self._is_provisional:
+            self._write_index()
 
     @classmethod
     def open(cls, path: str | Path) -> Dataset:
@@ -98,38 +109,61 @@ class Dataset:
         folder = Path(path)
         return cls(folder, read_record(folder))
 
+    def _read_index(self) -> None:
+        """Take over what the index knows of the journal, if there is one."""
+        index = JournalIndex.read(self.path / JOURNAL)
+        if index is not None:
+            for line in index.others:
+                self._apply(line)
+            self._frames, self._ended = FrameLines(index.table), index.ended
+            self._journal.skip(index.n_bytes, index.n_lines)
+
+    def _write_index(self) -> None:
+        """Write the index of a long journal, where the folder can be written to."""
+        at = self._journal
+        with suppress(DatasetError, OverflowError):
+            table = self._frames.table()
+            JournalIndex(at.n_bytes, at.n_lines, self._ended, tuple(self._others), table).write(self.path / JOURNAL)
+
     def refresh(self) -> None:
         """Read the journal's new lines."""
         for line in self._journal.new_lines():
-            match line:
-                case FrameKept():
-                    (self._provisional if self._is_provisional else self._frames).setdefault(line.shot, line)
-                case Missed():
-                    self._missed[line.shot] = line
-                    self._provisional.pop(line.shot, None)
-                case PassEnded():
-                    self._frames = self._provisional | self._frames
-                    self._provisional, self._is_provisional = {}, False
-                case FaultNoted():
-                    self._faults.append(line.what)
-                case FocusAtEnd():
-                    self._focus_at_end[line.field] = line.low, line.high
-                case WindowChanged():
-                    self._change_window(line)
-                case PassBegun():
-                    self._provisional, self._is_provisional = {}, line.provisional
-                    self._ended = False
-                case Finished():
-                    self._ended = True
-                case _:
-                    pass
+            if type(line) is FrameKept:
+                (self._provisional if self._is_provisional else self._frames).add(line)
+            else:
+                self._apply(line)
+
+    def _apply(self, line: Line) -> None:
+        match line:
+            case PassEnded():
+                self._frames.add_all(self._provisional)
+                self._provisional, self._is_provisional = FrameLines(), False
+            case PassBegun():
+                self._provisional, self._is_provisional = FrameLines(), line.provisional
+                self._ended = False
+            case Finished():
+                self._ended = True
+            case Missed():
+                self._missed[line.shot] = line
+                self._provisional.drop(line.shot)
+            case FaultNoted():
+                self._faults.append(line.what)
+            case FocusAtEnd():
+                self._focus_at_end[line.field] = line.low, line.high
+            case WindowChanged():
+                self._change_window(line)
+            case _:
+                pass
+        if isinstance(line, Missed | FaultNoted | FocusAtEnd | WindowChanged):
+            self._others.append(line)
 
     def _change_window(self, line: WindowChanged) -> None:
         self.scan = self.scan.with_window(line)
         self._focus_at_end.pop(line.field, None)
-        for slots in (self._frames, self._provisional, self._missed):
-            for shot in [shot for shot in slots if shot.field == line.field]:
-                del slots[shot]
+        self._frames.drop_field(line.field)
+        self._provisional.drop_field(line.field)
+        for shot in [shot for shot in self._missed if shot.field == line.field]:
+            del self._missed[shot]
 
     @property
     def name(self) -> str:
@@ -159,16 +193,23 @@ class Dataset:
     @property
     def finished(self) -> bool:
         """True if no frame is missing, or the scan ended without the missing ones."""
-        return self._ended or not self.missing()
+        return self._ended or all(map(self._is_complete, self.fields))
 
     def field(self, number: int) -> Field:
         """Return the field with a number. Raises DatasetError when there is none."""
-        field = next((f for f in self.fields if f.number == number), None)
+        field = self._field_of.get(number)
         if field is None:
             raise DatasetError(
                 f"{self.path.name} has {len(self.fields)} fields and no field {number}: choose one of them."
             )
         return field
+
+    @property
+    def _field_of(self) -> dict[int, Field]:
+        """Fields by their numbers, of the present plan."""
+        if self._indexed is not self.fields:
+            self._indexed, self._by_number = self.fields, {field.number: field for field in self.fields}
+        return self._by_number
 
     def calibration_problem(self, today: str) -> str | None:
         """Return why lengths are uncalibrated, or None if calibrated. `today`: ISO 8601 date."""
@@ -180,11 +221,11 @@ class Dataset:
 
     def kept(self) -> set[Shot]:
         """Return the slots that have a frame, without those of the current pass."""
-        return set(self._frames)
+        return self._frames.shots()
 
     def arrived(self) -> set[Shot]:
         """Return the slots that have a frame, including those of the current pass."""
-        return self._frames.keys() | self._provisional.keys()
+        return self._frames.shots() | self._provisional.shots()
 
     def ever_missed(self) -> set[Shot]:
         """Return the slots that were empty, or whose frame was rejected, at any time."""
@@ -192,7 +233,8 @@ class Dataset:
 
     def missing(self) -> set[Shot]:
         """Return the slots without a frame, whether pending or missed."""
-        return {shot for field in self.fields for shot in self._shots(field)} - self._frames.keys()
+        incomplete = (field for field in self.fields if not self._is_complete(field))
+        return {shot for field in incomplete for shot in self._shots(field) if shot not in self._frames}
 
     def missed(self) -> dict[Shot, str]:
         """Return the slots without a frame that the scan has passed, and the reason for each."""
@@ -200,7 +242,10 @@ class Dataset:
 
     def complete_fields(self) -> set[int]:
         """Return the numbers of the fields that have all their frames, without those of the current pass."""
-        return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
+        return {f.number for f in self.fields if self._is_complete(f)}
+
+    def _is_complete(self, field: Field) -> bool:
+        return self._frames.count(field.number) == self.scan.plan.sweep.frames_of(field) * self.n_exposures
 
     def stack(self, field_number: int, exposure: int | None = None, *, verify: bool = True) -> FieldStack:
         """Return the focus stack of a field, memory-mapped; z is the recorded z times the calibrated z scale.
@@ -278,7 +323,7 @@ class Dataset:
                 faults.append(str(fault))
                 continue
             damaged += bad
-            good += sum(shot in self._frames for shot in self._shots(field)) - len(bad)
+            good += self._frames.count(field.number) - len(bad)
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
         return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
 
@@ -320,8 +365,8 @@ class Dataset:
 
     def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
         n_frames = self.scan.plan.sweep.frames_of(self.field(field_number))
-        shots = (Shot(field_number, k, exposure) for k in range(n_frames))
-        return [self._provisional.get(shot, self._frames.get(shot)) for shot in shots]
+        lines = {**self._frames.of(field_number), **self._provisional.of(field_number)}
+        return [lines.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
 
     def _bracket(self, pages: Image, exposure: int, lines: list[FrameKept | None]) -> Bracket:
         present = np.array([line is not None for line in lines])
@@ -362,7 +407,7 @@ class Dataset:
             )
 
     def _damaged(self, field: Field) -> list[Shot]:
-        lines = [self._frames[shot] for shot in self._shots(field) if shot in self._frames]
+        lines = list(self._frames.of(field.number).values())
         pages = map_pages(frames_file(self.path, field), self.scan.pages(field)) if lines else None
         return self._damaged_slots(pages, lines) if pages is not None else []
 

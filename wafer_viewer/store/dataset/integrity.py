@@ -17,6 +17,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
+from wafer_viewer.store.dataset.journal_index import INDEX
 from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
 from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, SCHEMA_VERSION, with_version
 from wafer_viewer.store.io.atomic_files import natural_sort_key, size
@@ -174,6 +175,7 @@ KINDS = (
     _kind("Scan record", r"scan\.json", _json_state),
     _kind("Flat field", r"flat-field\.json", _json_state),
     _kind("Journal", re.escape(JOURNAL), _journal_state),
+    _kind("Index of the journal", re.escape(INDEX), archive_state),
     _kind("Recipes", _RESULT + r"(recipe|settled)\.json", _json_state),
     _kind("Surfaces of fields", _RESULT + r"surfaces/[^/]+\.npz", archive_state),
     _kind("Poses", _RESULT + r"poses(-being-drawn)?\.npz", archive_state),

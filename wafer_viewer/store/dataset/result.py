@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors
-from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_json, save_json
+from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_json, save_json, stored_checksum
 from wafer_viewer.store.mosaic.missing_shards import require_complete_once
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses, write_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
@@ -93,8 +94,10 @@ class Result:
             write_npz(surface, temporary)
 
     def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
-        """Return the numbers of those fields that have a surface."""
-        return {f.number for f in fields if self._surface_file(f).exists()}
+        """Return the numbers of those fields that have a surface; the folder is listed once."""
+        folder = self.path / SURFACES
+        names = {path.stem for path in folder.glob("*.npz")}
+        return {f.number for f in fields if f.name in names} if names else set()
 
     @property
     def is_difference(self) -> bool:
@@ -150,9 +153,25 @@ class Result:
         return (self.path / DRAWING).exists()
 
     def field_stamp(self, field: Field) -> int:
-        """Return a number that changes with each reconstruction of a field. Raises DatasetError if it is missing."""
+        """Return the time in ns at which the surface of a field was written. Raises DatasetError if it is missing."""
+        with self._surface_of(field) as path:
+            return path.stat().st_mtime_ns
+
+    def field_mark(self, field: Field) -> int:
+        """Return a number that identifies the content of the surface of a field, as `Poses.marks` have it.
+
+        It is the checksum in the file, below 2^32; for files of older versions without one, their time.
+        Raises DatasetError if the surface is missing.
+        """
+        with self._surface_of(field) as path:
+            checksum = stored_checksum(path)
+            return path.stat().st_mtime_ns if checksum is None else checksum
+
+    @contextmanager
+    def _surface_of(self, field: Field) -> Generator[Path]:
+        """Provide the path of a surface. Raises DatasetError when its file cannot be read."""
         try:
-            return self._surface_file(field).stat().st_mtime_ns
+            yield self._surface_file(field)
         except OSError as fault:
             raise DatasetError(f"The surface of field {field.number} is gone: reconstruct it again.") from fault
 

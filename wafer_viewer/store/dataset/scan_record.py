@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -24,8 +25,11 @@ from wafer_viewer.store.dataset.frame_pages import PageShape
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import (
     Checksum,
+    FileMark,
     damaged,
+    file_mark,
     line_state,
+    lines_are_good,
     save_json,
     sealed_line,
     sealed_text,
@@ -129,7 +133,23 @@ def write_record(folder: Path, record: ScanRecord) -> None:
 
 
 def read_record(folder: Path) -> ScanRecord:
-    """Read ``scan.json``. Raises DatasetError when the folder is no dataset or has a newer format."""
+    """Read ``scan.json``; an unchanged large one is read once per process, as each task of a worker opens its dataset.
+
+    Raises DatasetError when the folder is no dataset or has a newer format.
+    """
+    path = folder / RECORD
+    if path.is_file() and path.stat().st_size >= _LARGE_BYTES:
+        return _large_record(folder, file_mark(path))
+    return _record(folder)
+
+
+@lru_cache(maxsize=2)
+def _large_record(folder: Path, mark: FileMark) -> ScanRecord:
+    """Return the record in a state of its file."""
+    return _record(folder)
+
+
+def _record(folder: Path) -> ScanRecord:
     text = _record_text(folder)
     if text_state(text) is Checksum.DAMAGED:
         raise damaged(folder / RECORD)
@@ -168,14 +188,16 @@ def _record_text(folder: Path) -> bytes:
         raise DatasetError(f"{folder / RECORD} cannot be read: {fault.strerror}.") from fault
 
 
+class _Version(msgspec.Struct):
+    schema_version: int = 0
+
+
 def _schema_version(text: bytes) -> int:
     """Return the format version, so that a newer format is not reported as damage; 0 if unreadable."""
     try:
-        data: Any = msgspec.json.decode(text)
+        return msgspec.json.decode(text, type=_Version).schema_version
     except (msgspec.DecodeError, UnicodeDecodeError):
         return 0
-    version = data.get("schema_version", 0) if isinstance(data, dict) else 0
-    return version if isinstance(version, int) else 0
 
 
 class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=True):
@@ -192,7 +214,7 @@ class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=Tru
     provisional: bool = False
 
 
-class FrameKept(msgspec.Struct, frozen=True, tag="frame"):
+class FrameKept(msgspec.Struct, frozen=True, tag="frame", gc=False):
     """Frame written to its page: slot, trigger pulse, stage position at mid-exposure, checksum of the page."""
 
     shot: Shot
@@ -264,6 +286,10 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
 Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
 _DECODER = msgspec.json.Decoder(Line)
 _DAMAGE = (msgspec.DecodeError, ValueError)
+_LARGE_BYTES = 1 << 22
+"""Size from which a record takes 50 ms and more to decode."""
+_BATCH_BYTES = 1 << 24
+"""Part of a journal in memory, far longer than a line."""
 
 
 class JournalReader:
@@ -272,25 +298,52 @@ class JournalReader:
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._number = path, 0, 0
 
+    @property
+    def n_bytes(self) -> int:
+        """Bytes that were read."""
+        return self._offset
+
+    @property
+    def n_lines(self) -> int:
+        """Lines that were read."""
+        return self._number
+
+    def skip(self, n_bytes: int, n_lines: int) -> None:
+        """Continue after lines that are known."""
+        self._offset, self._number = n_bytes, n_lines
+
     def new_lines(self) -> Iterator[Line]:
         """Yield the complete lines added since the last call. Raises DatasetError when one is damaged."""
-        for text in self._new_text():
-            line = self._decode(text)
+        while text := self._new_text():
+            lines = _decoded_lines(text)
+            if lines is None:
+                if not (yield from self._line_by_line(text)):
+                    return
+                continue
+            self._offset += len(text)
+            self._number += len(lines)
+            yield from lines
+
+    def _line_by_line(self, text: bytes) -> Generator[Line, None, bool]:
+        """Yield lines one by one; return whether all of them were complete."""
+        for one in text.split(b"\n")[:-1]:
+            line = self._decode(one)
             if line is None:
-                return
-            self._offset += len(text) + 1
+                return False
+            self._offset += len(one) + 1
             self._number += 1
             yield line
+        return True
 
-    def _new_text(self) -> list[bytes]:
+    def _new_text(self) -> bytes:
+        """Return the next complete lines, of about `_BATCH_BYTES` together."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
-                text = file.read()
+                text = file.read(_BATCH_BYTES)
         except OSError as fault:
             raise DatasetError(f"{self._path} cannot be read: {fault.strerror}.") from fault
-        complete = text[: text.rfind(b"\n") + 1]
-        return complete.split(b"\n")[:-1]
+        return text[: text.rfind(b"\n") + 1]
 
     def _decode(self, text: bytes) -> Line | None:
         try:
@@ -324,6 +377,18 @@ class JournalWriter:
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+
+def _decoded_lines(text: bytes) -> list[Line] | None:
+    """Decode complete lines together, in half the time; None if one is damaged or, as in older journals, unsealed."""
+    lines = text.split(b"\n")[:-1]
+    if not lines_are_good(lines):
+        return None
+    try:
+        decoded = _DECODER.decode_lines(text)
+    except _DAMAGE:
+        return None
+    return decoded if len(decoded) == len(lines) else None
 
 
 def _decoded(text: bytes) -> Line:

@@ -113,7 +113,7 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
             require_good_archive(place)
         with zipfile.ZipFile(place) as archive, place.open("rb") as file:
             names = (*LAYERS, *(name for name in OPTIONAL if f"{name}.npy" in archive.namelist()))
-            layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in names}
+            layers = {name: map_member(place, file, archive.getinfo(f"{name}.npy")) for name in names}
             refused = _read_refused(place, file, archive)
         with np.load(place) as members:
             where: dict[str, Any] = {name: float(members[name]) for name in PLACE}
@@ -137,11 +137,11 @@ def _read_refused(path: Path, file: IO[bytes], archive: zipfile.ZipFile) -> Refu
     """Read the refused heights; None in older files without them."""
     if f"{REFUSED['at']}.npy" not in archive.namelist():
         return None
-    arrays = {name: _map_member(path, file, archive.getinfo(f"{key}.npy")) for name, key in REFUSED.items()}
+    arrays = {name: map_member(path, file, archive.getinfo(f"{key}.npy")) for name, key in REFUSED.items()}
     return RefusedHeights(**arrays)
 
 
-def _map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray[Any]:
+def map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray[Any]:
     """Map one uncompressed array of the archive; a compressed one is read."""
     if member.compress_type != zipfile.ZIP_STORED:
         with np.load(path) as members:

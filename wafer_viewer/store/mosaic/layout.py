@@ -12,6 +12,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, Positive, Spec, encode
 from wafer_viewer.model.surface.height_map import Mosaic, Origin, Provenance
+from wafer_viewer.model.surface.pyramid_layers import COUNTS, EXTREMES
 from wafer_viewer.store.mosaic.zarr_shards import Shards
 
 CHUNK, SHARD = 256, 2048
@@ -29,11 +30,16 @@ FILLS: dict[str, float] = {
     "origin": Origin.NOT_COVERED,
     "overlap_um": math.nan,
     "u_um": math.nan,
+    **dict.fromkeys(COUNTS, 0),
 }
-NOT_IN_OLDER = ("u_um",)
+NOT_IN_OLDER = ("u_um", *COUNTS)
 """Layers that mosaics of earlier versions lack."""
-SPANS = ("z_min_um", "z_max_um")
-SURFACE = tuple(name for name in FILLS if name not in SPANS)
+NGFF_VERSION = "0.5"
+"""Version of OME-NGFF for Zarr 3."""
+METHODS = {"z_min_um": "minimum", "z_max_um": "maximum", "origin": "minimum"}
+"""Downscaling method of layers that are not means: the smallest code of an origin is the best."""
+FROM_LEVEL_1 = (*EXTREMES, *COUNTS)
+SURFACE = tuple(name for name in FILLS if name not in FROM_LEVEL_1)
 
 
 class MosaicHeader(Spec, frozen=True, kw_only=True):
@@ -88,28 +94,50 @@ def as_json(header: MosaicHeader) -> dict[str, Any]:
     return json.loads(encode(header, "json"))
 
 
-def shards_of(name: str, header: MosaicHeader) -> Shards:
-    """Return the shard parameters of a layer."""
+def shards_of(name: str, header: MosaicHeader, level: int) -> Shards:
+    """Return the shard parameters of a layer at a level."""
+    if name in COUNTS:
+        return Shards(np.min_scalar_type(4**level), FILLS[name], CHUNK, SHARD)
     dtype = {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
     return Shards(np.dtype(dtype), FILLS[name], CHUNK, SHARD)
 
 
 def levels_of(name: str, header: MosaicHeader) -> range:
     """Return the levels of a layer."""
-    return range(1 if name in SPANS else 0, header.levels)
+    return range(1 if name in FROM_LEVEL_1 else 0, header.levels)
 
 
-def multiscale(header: MosaicHeader, name: str) -> dict[str, Any]:
-    """Return OME-NGFF 0.5 metadata: scale and translation of each level in um.
+def ome_of_layer(header: MosaicHeader, name: str) -> dict[str, Any]:
+    """Return the OME-NGFF metadata of the group of a layer."""
+    return {"version": NGFF_VERSION, "multiscales": [_multiscale(header, name, "")]}
 
-    The translation is relative to pixel (0, 0) of level 0, y downward.
+
+def ome_of_root(header: MosaicHeader) -> dict[str, Any]:
+    """Return the OME-NGFF metadata of the mosaic: a multiscale for each layer, the heights first.
+
+    Readers that show one multiscale take the first.
+    """
+    return {"version": NGFF_VERSION, "multiscales": [_multiscale(header, name, f"{name}/") for name in FILLS]}
+
+
+def _multiscale(header: MosaicHeader, name: str, folder: str) -> dict[str, Any]:
+    """Return the multiscale of a layer: scale and translation of each level in um, for the centres of pixels.
+
+    x is that of the stage, y is minus that of the stage, as rows go down: so no reader needs a negative scale, which
+    many refuse, pictures stand upright, and surfaces lie beside each other as on the stage. The centre of a pixel of a
+    level is that of the pixels of level 0 below it, (2^level - 1) / 2 of their size from the first.
     """
 
     def dataset(level: int) -> dict[str, Any]:
         scale, shift = header.pixel_um * 2**level, header.pixel_um * (2**level - 1) / 2
-        place = [{"type": "scale", "scale": [scale, scale]}, {"type": "translation", "translation": [shift, shift]}]
-        return {"path": str(level), "coordinateTransformations": place}
+        first = [-header.y0_um + shift, header.x0_um + shift]
+        place = [{"type": "scale", "scale": [scale, scale]}, {"type": "translation", "translation": first}]
+        return {"path": f"{folder}{level}", "coordinateTransformations": place}
 
-    axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
-    datasets = [dataset(level) for level in levels_of(name, header)]
-    return {"version": "0.5", "multiscales": [{"name": name, "axes": axes, "datasets": datasets}]}
+    return {
+        "name": name,
+        "axes": [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"],
+        "datasets": [dataset(level) for level in levels_of(name, header)],
+        "type": "sum" if name in COUNTS else METHODS.get(name, "mean"),
+        "metadata": {"description": "x is that of the stage, y is minus that of the stage."},
+    }

@@ -11,16 +11,25 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface.pyramid_layers import EXTREMES, N_COVERED, N_ORIGIN, N_OVERLAP, OVERLAP
 from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
 from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.layout import GROUP, SPANS, levels_of
+from wafer_viewer.store.mosaic.layout import GROUP, levels_of
 from wafer_viewer.store.mosaic.statistics import FACTS, blocks_with_heights
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 HEIGHTS = ("z_um", "z_raw_um", "origin")
 """Layers that measurements depend on."""
-VANISHES = ("all_in_focus",)
+VANISHES = ("all_in_focus", "confidence")
 """Layers that may hold only fill values in a coarser level where the finer one has no file."""
+IMPLIED = {
+    "origin": "z_um",
+    N_ORIGIN: "z_um",
+    N_OVERLAP: OVERLAP,
+    N_COVERED: "origin",
+    **dict(zip(EXTREMES, EXTREMES[::-1], strict=True)),
+}
+"""Layers that have a shard wherever another one has: of measured heights there is a lowest and a highest."""
 Place = tuple[int, int]
 _complete = KnownGood()
 """Complete mosaics, by the state of their header."""
@@ -50,10 +59,11 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
             if name not in VANISHES:
                 wanted = {(row // 2, col // 2) for row, col in shards[level - 1]}
                 yield from (_path(mosaic, name, level, place) for place in sorted(wanted - shards[level]))
-    for name in ("origin",) if heights_only else ("origin", *SPANS):
-        for level in levels_of(name, mosaic.header):
-            lacks = _shards(mosaic.path / "z_um" / str(level)) - _shards(mosaic.path / name / str(level))
-            yield from (_path(mosaic, name, level, place) for place in sorted(lacks))
+    for name, implying in IMPLIED.items():
+        if name in mosaic.layer_names and not (heights_only and name != "origin"):
+            for level in levels_of(name, mosaic.header):
+                lacks = _shards(mosaic.path / implying / str(level)) - _shards(mosaic.path / name / str(level))
+                yield from (_path(mosaic, name, level, place) for place in sorted(lacks))
     written, described = _shards(mosaic.path / "origin" / "0"), _shards(mosaic.path / FACTS)
     expected = {(row // 2, col // 2) for row, col in written}
     yield from (mosaic.path / FACTS / "c" / f"{row}" / f"{col}" / "0" for row, col in sorted(expected - described))

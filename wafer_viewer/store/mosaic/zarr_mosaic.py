@@ -1,8 +1,9 @@
-"""Stitched surface on disk: a pyramid in Zarr 3, one OME-NGFF 0.5 multiscale group.
+"""Stitched surface on disk: a pyramid in Zarr 3, one OME-NGFF 0.5 multiscale for each layer.
 
-A pixel of level l covers 2^l pixels of level 0 along each axis. z_min_um and z_max_um are the height range under a
-pixel; at level 0 they would equal z_um, so their groups begin with level 1. The work is divided into patches that share
-no shard. Each shard is replaced by an atomic rename, so that readers can continue while patches are rewritten.
+A pixel of level l covers 2^l pixels of level 0 along each axis and is the mean of the measured ones. The layers n_*
+hold the numbers of pixels that its means are of, z_min_um and z_max_um the range of measured heights below it; both
+begin with level 1. The work is divided into patches that share no shard. Each shard is replaced by an atomic rename, so
+that readers can continue while patches are rewritten.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from wafer_viewer.model.surface.height_map import (
     picture_of,
     pixel_window,
 )
+from wafer_viewer.model.surface.pyramid_layers import EXTREMES
 from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import Checksum, damaged, remedy, sealed_node, text_state
 from wafer_viewer.store.mosaic import layout
@@ -43,14 +45,14 @@ from wafer_viewer.store.mosaic.layout import (
     GROUP,
     NOT_IN_OLDER,
     OWN,
-    SPANS,
     SURFACE,
     MosaicHeader,
     as_json,
     header_of,
     levels_for,
     levels_of,
-    multiscale,
+    ome_of_layer,
+    ome_of_root,
     shards_of,
 )
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
@@ -179,15 +181,16 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
 
     header = header_of(source)
     with os_errors_as_dataset_errors(path):
-        root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes={OWN: as_json(header)})
+        attributes = {OWN: as_json(header), "ome": ome_of_root(header)}
+        root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes=attributes)
         root.create_array(FACTS, **facts_array(header.shape_of(0)))
         for name, fill in FILLS.items():
-            group = root.create_group(name, attributes={"ome": multiscale(header, name)})
+            group = root.create_group(name, attributes={"ome": ome_of_layer(header, name)})
             for level in levels_of(name, header):
                 group.create_array(
                     str(level),
                     shape=header.shape_of(level),
-                    dtype=shards_of(name, header).dtype,
+                    dtype=shards_of(name, header, level).dtype,
                     chunks=(layout.CHUNK, layout.CHUNK),
                     shards=(layout.SHARD, layout.SHARD),
                     compressors=codecs(),
@@ -222,13 +225,15 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left
     layers: Layers = {
-        name: np.full(shape, FILLS[name], shards_of(name, stored.header).dtype) for name in stored.layer_names
+        name: np.full(shape, FILLS[name], shards_of(name, stored.header, patch.level).dtype)
+        for name in stored.layer_names
     }
     below = partial(_drawn, stored, source) if patch.level == 1 else partial(stored.layers, patch.level - 1)
     for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
         top, left = rows.start // 2 - patch.top, cols.start // 2 - patch.left
         for name, half in halve(below(rows, cols)).items():
-            layers[name][top : top + half.shape[0], left : left + half.shape[1]] = half
+            if name in layers:
+                layers[name][top : top + half.shape[0], left : left + half.shape[1]] = half
     _write_layers(stored, patch.level, patch.top, patch.left, layers)
 
 
@@ -334,6 +339,11 @@ class ZarrMosaic:
         """Names of its layers; one of an earlier version lacks those of `NOT_IN_OLDER`."""
         return tuple(name for name in FILLS if name not in NOT_IN_OLDER or (self.path / name).is_dir())
 
+    @property
+    def is_current(self) -> bool:
+        """True if it has the layers of this version, so that parts of it can be written again."""
+        return set(self.layer_names) == set(FILLS)
+
     @cached_property
     def poses(self) -> Poses | None:
         """Field poses from the enclosing result; None if it has none."""
@@ -368,10 +378,14 @@ class ZarrMosaic:
         return TexturedHeights(alone.z_um, alone.pixel_um, alone.x0_um, alone.y0_um, picture)
 
     def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return (lowest, highest) height under each pixel of `window`, NaN where unmeasured."""
+        """Return (lowest, highest) measured height under each pixel of `window`, NaN where there is none."""
         rows, cols = self._window(region, level)
-        low, high = ("z_um", "z_um") if level == 0 else SPANS
-        return self.read(low, level, rows, cols), self.read(high, level, rows, cols)
+        if level > 0:
+            low, high = (self.read(name, level, rows, cols) for name in EXTREMES)
+            return low, high
+        z_um = self.read("z_um", 0, rows, cols)
+        z_um[self.read("origin", 0, rows, cols) != Origin.MEASURED] = np.nan
+        return z_um, z_um
 
     def facts(self) -> MosaicStatistics:
         """Return the statistics. Raises DatasetError when they are missing or damaged."""
@@ -389,7 +403,7 @@ class ZarrMosaic:
     def array(self, name: str, level: int) -> ShardedArray:
         """Return the array of a layer at a level. Raises DatasetError when it does not exist."""
         return ShardedArray.open(
-            self.path / name / str(level), shards_of(name, self.header), self.header.shape_of(level)
+            self.path / name / str(level), shards_of(name, self.header, level), self.header.shape_of(level)
         )
 
     def _lattice(self, level: int, rows: slice, cols: slice) -> tuple[float, float, float]:

@@ -38,23 +38,21 @@ class Shards:
     chunk_px: int
     shard_px: int
 
-    def read(self, path: Path, rows: slice, cols: slice) -> NDArray[Any]:
-        """Read a part of the shard at `path`; the fill value if there is no file.
+    def read(self, path: Path, rows: slice, cols: slice, out: NDArray[Any]) -> None:
+        """Read a part of the shard at `path` into `out`; the fill value if there is no file.
 
         Raises DatasetError when the file is damaged.
         """
-        out = np.full((rows.stop - rows.start, cols.stop - cols.start), self.fill, self.dtype)
         try:
             with path.open("rb") as file:
                 index = self._index(file)
                 for place, inside, outside in _overlapped_chunks(rows, cols, self.chunk_px):
-                    if index[place][0] != ABSENT:
-                        out[outside] = self._decoded(_cut(file, *index[place]))[inside]
+                    stored = index[place][0] != ABSENT
+                    out[outside] = self._decoded(_cut(file, *index[place]))[inside] if stored else self.fill
         except FileNotFoundError:
-            return out
+            out[:] = self.fill
         except (OSError, ValueError, RuntimeError) as fault:
             raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
-        return out
 
     def places(self, path: Path) -> set[tuple[int, int]]:
         """Return rows and columns of the non-empty chunks in the shard at `path`; none if there is no file.
@@ -165,7 +163,7 @@ class ShardedArray:
                 path, inside_r, inside_c = self._inside(part_r, part_c)
                 target_rows = np.s_[part_r.start - rows.start : part_r.stop - rows.start]
                 across = np.s_[part_c.start - cols.start : part_c.stop - cols.start]
-                out[target_rows, across] = self.shards.read(path, inside_r, inside_c)
+                self.shards.read(path, inside_r, inside_c, out[target_rows, across])
         return out
 
     def write(self, layer: NDArray[Any], top: int, left: int) -> None:
