@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -34,6 +35,16 @@ def test_every_start_on_a_folder_has_the_same_token_until_it_is_renewed(tmp_path
 def test_programs_that_start_at_once_agree(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as starts:
         assert len(set(starts.map(page_token, [tmp_path] * 16))) == 1
+
+
+@posix
+def test_the_draft_of_a_program_that_starts_just_now_is_no_second_name(tmp_path: Path) -> None:
+    token = page_token(tmp_path)
+    draft = file_of(tmp_path).with_name("token-draft")
+    os.link(file_of(tmp_path), draft)
+    with ThreadPoolExecutor(1) as later:
+        later.submit(lambda: (time.sleep(0.1), draft.unlink()))
+        assert page_token(tmp_path) == token
 
 
 @posix

@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import stat
+import time
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
@@ -19,6 +20,7 @@ from wafer_viewer.session.session_restore import KEPT_IN
 NAME = "token"
 _BYTES = 24
 _MOST_BYTES = 256
+_LOOKS, _BETWEEN_LOOKS_S = 50, 0.02
 _OWNER_ONLY = 0o600
 _OTHERS = 0o077
 _IS_TOKEN = re.compile(r"[A-Za-z0-9_-]{32,128}")
@@ -105,12 +107,21 @@ def _read(path: Path) -> str:
         why = "is a symbolic link" if path.is_symlink() else f"cannot be read ({fault.strerror})"
         raise _refused(path, why) from fault
     with os.fdopen(opened, "rb") as file:
+        _await_one_name(file.fileno())
         if (why := _ownership_problem(os.fstat(file.fileno()))) is not None:
             raise _refused(path, why)
         text = file.read(_MOST_BYTES).decode("ascii", "replace").strip()
     if not _IS_TOKEN.fullmatch(text):
         raise _refused(path, "holds no token")
     return text
+
+
+def _await_one_name(file: int) -> None:
+    """Wait until a program that makes the token at this moment has removed its draft, the same file's second name."""
+    for _ in range(_LOOKS):
+        if os.fstat(file).st_nlink <= 1:
+            return
+        time.sleep(_BETWEEN_LOOKS_S)
 
 
 def _ownership_problem(status: os.stat_result) -> str | None:
