@@ -86,7 +86,7 @@ class Shifts:
     @property
     def repeats(self) -> NDArray[np.bool_]:
         """Mask of the overlaps in which a pattern fits at several offsets."""
-        return np.isfinite(self.candidates[:, :, 0]).any(axis=1)
+        return np.asarray(np.isfinite(self.candidates[:, :, 0]).any(axis=1), np.bool_)
 
     @property
     def believed(self) -> NDArray[np.bool_]:
