@@ -84,10 +84,11 @@ def surface(scan):
 def images(tmp_path):
     folder = tmp_path / "images"
     folder.mkdir()
-    noise = np.random.default_rng(1)
+    random = np.random.default_rng(1)
+    texture = random.normal(0, 1, (80, 120))
     for k in range(10):
-        spread = 5 + 60 * np.exp(-((k - 5) ** 2) / 4)
-        image = noise.normal(128, spread, (80, 120)).clip(0, 255).astype(np.uint8)
+        sharp = 5 + 60 * np.exp(-((k - 5) ** 2) / 4)
+        image = (128 + sharp * texture + random.normal(0, 1, texture.shape)).clip(0, 255).astype(np.uint8)
         tifffile.imwrite(folder / f"k{k}.tif", image)
     return folder
 
