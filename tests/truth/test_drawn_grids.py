@@ -1,0 +1,35 @@
+"""Grids drawn by seed are stitched to parts of a pixel: repeating dies, lines and random ground under uneven light."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.bench.bench_grids import judged
+from tests.truth.drawn_grids import drawn, made
+
+pytestmark = pytest.mark.slow
+SEEDS = {"dies": (3, 4, 9, 19), "dusty dies": (5, 17), "lines": (2, 6), "random": (11,)}
+
+
+def test_a_seed_always_stands_for_the_same_grid():
+    assert drawn(4) == drawn(4)
+    first, again = made(drawn(4)), made(drawn(4))
+    assert (first.heights[3].all_in_focus == again.heights[3].all_in_focus).all()
+
+
+@pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind, seeds in SEEDS.items() for seed in seeds])
+def test_fields_are_where_they_truly_are(kind: str, seed: int) -> None:
+    grid = drawn(seed)
+    assert grid.kind == kind
+    found = judged(made(grid))
+    assert found.wrong == 0
+    assert found.rms_px < 0.03
+    assert found.believed > 0.8 * found.overlaps
+    if grid.periodic and min(grid.pitch_px) < 40:
+        assert any("repeating pattern" in note for note in found.notes)
+
+
+def test_what_is_random_under_the_light_of_a_lamp_has_honest_uncertainties() -> None:
+    found = judged(made(drawn(8)))
+    assert 0.4 < (sum(e * e for e in found.normalised) / len(found.normalised)) ** 0.5 < 1.3
+    assert (found.found, found.planted, found.alarms) == (1, 1, 0)
