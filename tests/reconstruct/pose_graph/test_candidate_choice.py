@@ -122,6 +122,14 @@ def test_fields_that_are_fixed_stay_and_place_the_others():
     assert np.abs(error_px(fields, true, choice)).max() < 1.0
 
 
+def test_fields_that_are_all_fixed_stay():
+    fields = grid(3, 3)
+    shifts, true = patterned(fields, 50.0, 4)
+    choice = chosen(fields, shifts, fixed=np.ones(9, bool), start=(true[:, 0], true[:, 1]))
+    assert choice.to_measure.all()
+    assert np.abs(error_px(fields, true, choice)).max() < 1.0
+
+
 def test_what_was_measured_at_the_chosen_period_is_not_measured_again():
     fields = grid(4, 4)
     shifts, true = patterned(fields, 60.0, 1)

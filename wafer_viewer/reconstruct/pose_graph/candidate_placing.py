@@ -32,7 +32,7 @@ class Placing:
     """Fields on their way to their places, in pixels.
 
     stage, place: [n, 2]; placed, fixed: masks; odds: log odds of a place against any other, [n]; shared_by: effect of
-    the shared errors on a field, [n, 2, m]; shared, shared_covariance: what is known of them;     scatter: of the stage
+    the shared errors on a field, [n, 2, m]; shared, shared_covariance: what is known of them; scatter: of the stage
     along x and y about these; knows_scatter: whether it was given.
     """
 
@@ -125,6 +125,8 @@ class Placing:
     def sweep(self) -> None:
         """Place all fields again, with the scatter of the stage and its backlash, until none moves."""
         movable = np.flatnonzero(self.placed & ~self.fixed & (np.diff(self.graph.ends) > 0))
+        if not len(movable):
+            return
         for n in range(CHOICE.most_sweeps):
             self._refit(N_UNSETTLED if n == 0 else N_SHARED, with_scatter=True)
             before = self.place.copy()
