@@ -211,14 +211,16 @@ def block_gradients(sums: Numbers, index: NDArray[np.intp], place: Numbers, nois
 
     The brightness has a slope along both axes: light that falls off to the corners of a field differs between the two
     pictures of an overlap. The contrast is that of a regression, which noise (standard deviation of a pixel of the
-    second picture) reduces, less this reduction: too small a contrast would move an edge that lies across the border.
+    second picture) reduces, less this reduction where it is under a half: too small a contrast would move an edge that
+    lies across the border.
     """
     n = sums[:, 0, 0]
     spread = _without_shading(sums)
     first, second, both = np.maximum(spread[:, 0, 0], 0), np.maximum(spread[:, 1, 1], 0), spread[:, 0, 1]
     room = np.maximum(second, 1e-9 * n)
     regressed = np.maximum(both, 0) / room
-    gain = np.maximum(both, 0) / np.maximum(room - n * (_SMOOTHED * noise) ** 2, room / 2)
+    of_noise = n * (_SMOOTHED * noise) ** 2
+    gain = np.maximum(both, 0) / (room - np.where(of_noise < room / 2, of_noise, 0.0))
     weight = n / np.maximum(first - regressed * np.maximum(both, 0), 1e-9 * n)
     weight = weight / (1 + weight / (4 * np.median(weight))) if len(weight) else weight
     trust = weight * regressed**2

@@ -80,7 +80,7 @@ class PatchParameters:
     most_turn: float = 0.05
     least_spread_px: float = 0.03
     least_u_px: float = 0.02
-    most_u_px: float = 0.5
+    most_u_px: float = 4.0
 
 
 PATCHES = PatchParameters()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,8 @@ class MatchSearchParameters:
         Largest number of its steps to either side.
     same_px : float, px
         Distance, in determined directions, below which two candidates are one.
+    told_px : float, search pixels
+        Uncertainty of a match of binned images above which it stays where the search has it.
     at_stage_px : float, px
         Distance along lines from the stage position below which a match is not measured again there.
     """
@@ -88,6 +90,7 @@ class MatchSearchParameters:
     most_steps: int = 8
     same_px: float = 4.0
     at_stage_px: float = 1.5
+    told_px: float = 4.0
 
 
 MATCH_SEARCH = MatchSearchParameters()
@@ -308,6 +311,8 @@ def _aligned(
     Far from there, an error of the direction of the lines would displace them.
     """
     fit = _scaled(align(*levels, (lag[0] / factor, lag[1] / factor), side, factor > 1), factor)
+    if factor > 1 and not fit.covariance.trace() < (MATCH_SEARCH.told_px * factor) ** 2 and fit.held.shape[1] != 1:
+        return replace(fit, lag=lag)
     if fit.held.shape[1] != 1:
         return fit
     across = fit.held @ fit.held.T
