@@ -465,17 +465,18 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         stiffness = surface.measured
     elif not roughly and not _is_clear(pulls, noise):
         stiffness = _hessian_by_differences(first, second, lag, side)
+    alike = correlation(pulls)
     bent_px, bent_sigmas = shift_gradient(pulls) if surface.held.shape[1] == 2 else (0.0, 0.0)
     return SubpixelShift(
         lag,
         covariance(pulls, stiffness, surface.held),
-        correlation(pulls),
+        alike,
         agreement_fraction(pulls, noise),
         bent_px / ease,
         bent_sigmas,
         float(pulls.pixels.sum()),
         len(pulls.pixels),
-        1 - correlation(pulls) ** 2,
+        1 - alike**2,
     )
 
 

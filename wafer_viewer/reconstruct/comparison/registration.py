@@ -30,7 +30,7 @@ from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
-from wafer_viewer.reconstruct.registration.picture_match import match
+from wafer_viewer.reconstruct.registration.picture_match import MATCH_ACCEPTANCE, match
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +64,6 @@ class PatchParameters:
         Minimum scatter of patches, due to interpolation and pixel shape.
     least_u_px : float, px
         Common error of the patches, due to interpolation and pixel shape.
-    most_u_px : float, px
-        Largest uncertainty of a patch along an axis; along lines its place is undetermined.
     """
 
     side_px: int = 256
@@ -80,7 +78,6 @@ class PatchParameters:
     most_turn: float = 0.05
     least_spread_px: float = 0.03
     least_u_px: float = 0.02
-    most_u_px: float = 4.0
 
 
 PATCHES = PatchParameters()
@@ -188,8 +185,8 @@ def _sighting(
     fit = match(one, other, reach_px, read)
     down, right = fit.off_px
     u_down, u_right = fit.u_px
-    is_held = max(fit.u_px) < PATCHES.most_u_px or fit.doubt is not RejectionReason.NONE
-    doubt = fit.doubt if is_held else RejectionReason.AMBIGUOUS
+    shows_lines_only = fit.doubt is RejectionReason.NONE and max(fit.u_px) > MATCH_ACCEPTANCE.most_u_px
+    doubt = RejectionReason.AMBIGUOUS if shows_lines_only else fit.doubt
     return at_um, (right * pixel, -down * pixel), (u_right * pixel, u_down * pixel), doubt
 
 

@@ -34,14 +34,13 @@ class Choice:
     """The chosen offsets.
 
     shifts: patterns that are open or not measured yet are ambiguous; to_measure: mask of the overlaps to be measured
-    at the offsets (x, y) `expected_um`, [e, 2]; sure: fields whose place is believed; scatter_um: of the stage;
-    spacing_px: of the candidates; refused: whether patterns were left open because the stage is too coarse for them.
+    at the offsets (x, y) `expected_um`, [e, 2]; scatter_um: of the stage; spacing_px: of the candidates; refused:
+    whether patterns were left open because the stage is too coarse for them.
     """
 
     shifts: Shifts
     to_measure: Flags
     expected_um: Numbers
-    sure: Flags
     scatter_um: float
     spacing_px: float
     refused: bool
@@ -120,7 +119,6 @@ def _chosen(placing: Placing, shifts: Shifts, pixel_um: float) -> Choice:
         replace(shifts, doubt=doubt.astype(np.uint8)),
         between & (repeats | looks_open) & ~is_measured,
         expected * pixel_um,
-        sure,
         scatter * pixel_um,
         graph.spacing_px,
         bool(refused),

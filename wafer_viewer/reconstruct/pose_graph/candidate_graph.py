@@ -81,12 +81,11 @@ CHOICE = ChoiceParameters()
 class CandidateGraph:
     """Overlaps with their candidates, in pixels.
 
-    overlap: rows of `Shifts`, [e]; first, second: fields, [e]; offset: [e, k, 2]; precision: [e, k, 3] of (xx, xy, yy);
+    first, second: fields, [e]; offset: [e, k, 2]; precision: [e, k, 3] of (xx, xy, yy);
     misfit: [e, k] in nats, infinite where there is no candidate; ends, edges: the overlaps of each field, as in a
     sparse matrix.
     """
 
-    overlap: NDArray[np.intp]
     first: Ints
     second: Ints
     offset: Numbers
@@ -108,7 +107,7 @@ class CandidateGraph:
         both, number = np.concatenate((first, second)), np.tile(np.arange(len(rows)), 2)
         order = np.argsort(both, kind="stable")
         ends = np.concatenate(([0], np.cumsum(np.bincount(both, minlength=n))))
-        return cls(rows, first, second, np.nan_to_num(offset), np.nan_to_num(precision), misfit, ends, number[order])
+        return cls(first, second, np.nan_to_num(offset), np.nan_to_num(precision), misfit, ends, number[order])
 
     @property
     def spacing_px(self) -> float:

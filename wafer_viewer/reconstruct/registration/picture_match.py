@@ -272,16 +272,20 @@ def _refined(
         if f < MATCH_SEARCH.patterned_factor and len(fits) > MATCH_SEARCH.few:
             break
         levels, side = (binned_valid(one, f), binned_valid(other, f)), max(6, _block_side(window) // f)
-
-        def near(lags: Sequence[Lag]) -> list[SubpixelShift]:
-            found = [_aligned(levels, lag, side, f, window.nominal) for lag in lags]  # noqa: B023 - used at once
-            return [fit for fit, lag in zip(found, lags, strict=True) if _apart(fit, lag) <= 2.0 * f]  # noqa: B023
-
-        fits = _with_rivals(near(lags))
+        fits = _with_rivals(_near(levels, lags, side, f, window.nominal))
         if f == factor and len(fits) > 1:
-            fits = _with_rivals([*fits, *near(_missing(fits, window.nominal, reach_px))])
+            missing = _missing(fits, window.nominal, reach_px)
+            fits = _with_rivals([*fits, *_near(levels, missing, side, f, window.nominal)])
         lags = [fit.lag for fit in fits]
     return fits
+
+
+def _near(
+    levels: tuple[RegisteredImage, RegisteredImage], lags: Sequence[Lag], side: int, factor: int, nominal: Lag
+) -> list[SubpixelShift]:
+    """Refine lags on binned images, and return the fits that stay near them."""
+    fits = [_aligned(levels, lag, side, factor, nominal) for lag in lags]
+    return [fit for fit, lag in zip(fits, lags, strict=True) if _apart(fit, lag) <= 2.0 * factor]
 
 
 def _missing(fits: list[SubpixelShift], nominal: Lag, reach_px: float) -> list[Lag]:
@@ -311,10 +315,9 @@ def _aligned(
     Far from there, an error of the direction of the lines would displace them.
     """
     fit = _scaled(align(*levels, (lag[0] / factor, lag[1] / factor), side, factor > 1), factor)
-    if factor > 1 and not fit.covariance.trace() < (MATCH_SEARCH.told_px * factor) ** 2 and fit.held.shape[1] != 1:
-        return replace(fit, lag=lag)
     if fit.held.shape[1] != 1:
-        return fit
+        is_told = factor == 1 or fit.covariance.trace() < (MATCH_SEARCH.told_px * factor) ** 2
+        return fit if is_told else replace(fit, lag=lag)
     across = fit.held @ fit.held.T
     at = nominal + across @ np.subtract(fit.lag, nominal)
     if np.hypot(*(at - fit.lag)) < MATCH_SEARCH.at_stage_px:
@@ -325,17 +328,13 @@ def _aligned(
 
 def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
     """Convert a fit to full pixels."""
-    lag = fit.lag[0] * factor, fit.lag[1] * factor
-    return SubpixelShift(
-        lag,
-        fit.covariance * factor**2,
-        fit.correlation,
-        fit.agreeing,
-        fit.bent_px * factor,
-        fit.bent_sigmas,
-        fit.n_pixels * factor**2,
-        fit.n_blocks,
-        fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**2,
+    return replace(
+        fit,
+        lag=(fit.lag[0] * factor, fit.lag[1] * factor),
+        covariance=fit.covariance * factor**2,
+        bent_px=fit.bent_px * factor,
+        n_pixels=fit.n_pixels * factor**2,
+        unexplained=fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**2,
     )
 
 
@@ -369,8 +368,9 @@ def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, r
     best = fits[0]
     found = [_candidate(fit, best, window) for fit in fits]
     doubt = _doubt(fits, by_chance, max(map(abs, found[0].off_px)) > reach_px)
-    rivals = tuple(sorted(found, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
-    is_open = doubt is RejectionReason.AMBIGUOUS and len(fits) > 1
+    told = [one for one in found if np.isfinite(one.covariance).all()]
+    rivals = tuple(sorted(told, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
+    is_open = doubt is RejectionReason.AMBIGUOUS and len(rivals) > 1
     return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, rivals if is_open else ())
 
 
@@ -386,15 +386,15 @@ def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -
 
 def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
     best = fits[0]
-    bent = best.bent_px > MATCH_ACCEPTANCE.most_bent_px
-    significant = best.bent_sigmas > max(
-        MATCH_ACCEPTANCE.bent_sigmas, MATCH_ACCEPTANCE.surely_bent / max(best.bent_px, 1e-9)
+    turned = (
+        best.bent_px > MATCH_ACCEPTANCE.most_bent_px
+        and best.bent_sigmas > MATCH_ACCEPTANCE.bent_sigmas
+        and best.bent_px * best.bent_sigmas > MATCH_ACCEPTANCE.surely_bent
     )
-    turned = bent and significant
     if turned or best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
         return RejectionReason.UNLIKE
-    held = best.held.T @ best.covariance @ best.held if best.held.size else np.full((1, 1), np.inf)
-    is_held = float(np.linalg.eigvalsh(held)[-1]) < MATCH_ACCEPTANCE.most_u_px**2 if np.isfinite(held).all() else False
+    variances = np.linalg.eigvalsh(best.held.T @ best.covariance @ best.held) if best.held.size else [np.inf]
+    is_held = variances[-1] < MATCH_ACCEPTANCE.most_u_px**2
     if not is_held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):
         return RejectionReason.AMBIGUOUS
     return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
