@@ -272,7 +272,7 @@ def stitching_numbers(info: StitchingInfo) -> Markup:
     """Return the main figures of the stitching: accepted overlaps, residual steps, uncertainties."""
     rows: Rows = [("Overlaps accepted", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
     if info.n_periodic:
-        rows.append(("– of a repeating pattern, period chosen with the stage", number(info.n_periodic, 0)))
+        rows.append(("– of a repeating pattern", number(info.n_periodic, 0)))
     rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
     if info.step_median_um is not None:
         rows.append(("Step left at a seam, median", _length(info.step_median_um)))
