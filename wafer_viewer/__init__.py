@@ -90,6 +90,7 @@ if TYPE_CHECKING:
     from wafer_viewer.session.gauge.repeat_scans import studies_of
     from wafer_viewer.session.reporting.conformance_report import verify_conformance, write_conformance
     from wafer_viewer.session.session import Session
+    from wafer_viewer.session.surface.field_export import write_fields
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
     from wafer_viewer.store.formats.exporters import export, write_surface
@@ -211,6 +212,7 @@ __all__ = [
     "verdict_of",
     "verify_conformance",
     "write_conformance",
+    "write_fields",
     "write_klarf",
     "write_surface",
     "write_training_set",

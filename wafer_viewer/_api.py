@@ -110,6 +110,7 @@ MODULES = {
     "verdict_of": "model.inspection.defect_verdict",
     "verify_conformance": "session.reporting.conformance_report",
     "write_conformance": "session.reporting.conformance_report",
+    "write_fields": "session.surface.field_export",
     "write_klarf": "store.tables.klarf",
     "write_surface": "store.formats.exporters",
     "write_training_set": "store.tables.training_set",

@@ -191,6 +191,20 @@ def _write(surface: Mosaic, out: Path, every: int | None = None) -> None:
         warn(f"{out.name}: {sentence}")
 
 
+def fields(dataset: DatasetFolder, out: NewFile, result: str = "default") -> None:
+    """Write the fields of a stitched surface as images for other programs, each where it lies: an OME-NGFF 0.6 scene.
+
+    Args:
+        dataset: The dataset.
+        out: The folder to write, NAME.ome.zarr; images of two channels, picture and heights in um.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.session.surface.field_export import write_fields
+
+    with progress("Writing the fields") as tell:
+        print(write_fields(dataset, out, result, tell))
+
+
 def report(
     dataset: DatasetFolder,
     out: Out,

@@ -25,6 +25,8 @@ from wafer_viewer.model.surface_format import Reading
 
 WRITTEN_TITLES = {kind.title: kind.suffixes[0] for kind in FORMATS if kind.writer is not None}
 """Formats of the export dialog: suffixes by title."""
+SCENE_ENDING = ".ome.zarr"
+SCENE = "Each field as an image in its solved place: pictures and heights, OME-NGFF 0.6."
 READ_FILES = ", ".join(kind.suffixes[0] for kind in FORMATS if kind.reader is not None)
 
 
@@ -45,7 +47,13 @@ def open_dialog(page: Page) -> None:
 
 
 def save_dialog(
-    page: Page, title: str, name: str, write: Callable[[Path], Future[Path]], saved: str, failed: str
+    page: Page,
+    title: str,
+    name: str,
+    write: Callable[[Path], Future[Path]],
+    saved: str,
+    failed: str,
+    about: str = "",
 ) -> None:
     """Open a Save dialog that starts in the data folder with `name`.
 
@@ -61,8 +69,10 @@ def save_dialog(
         Starts to write to a path; an existing file is replaced only after confirmation.
     saved, failed : str
         Titles of the success and failure notifications.
+    about : str
+        What is written, under the title.
     """
-    dialog = Dialog(page, title, "")
+    dialog = Dialog(page, title, about)
     with dialog.modal:
         files = FileList(dialog, "any", saving=name, ending=Path(name).suffix)
 
@@ -172,6 +182,14 @@ def export_dialog(page: Page) -> None:
         page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
 
     dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
+
+
+def export_fields_dialog(page: Page) -> None:
+    """Open the dialog that exports the fields of the stitched surface as images in place."""
+    data = page.session.snapshot.dataset
+    name = f"{data.path.stem if data else 'fields'}{SCENE_ENDING}"
+    write = page.session.exchange.export_fields
+    save_dialog(page, "Export the fields", name, write, "Fields exported", "The fields were not exported", SCENE)
 
 
 def _description(ending: str, every: float, size: tuple[int, int, float] | None) -> Markup:

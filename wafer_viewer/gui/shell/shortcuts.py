@@ -22,7 +22,13 @@ from wafer_viewer.gui.measure.profile_section import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES
-from wafer_viewer.gui.page.import_export_dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
+from wafer_viewer.gui.page.import_export_dialogs import (
+    export_dialog,
+    export_fields_dialog,
+    import_dialog,
+    load_plan_dialog,
+    open_dialog,
+)
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import (
     cannot_go_to,
@@ -167,6 +173,9 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
     def export() -> None:
         export_dialog(page)
 
+    def export_fields() -> None:
+        export_fields_dialog(page)
+
     return with_precondition(
         surface_not_drawable,
         Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
@@ -192,6 +201,10 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
         ),
         Command("Colours from 0.5 to 99.5 %", "J", set_to(range_um=None), ICON.CHART_HISTOGRAM, group="Surface"),
         Command("Export the surface…", "E", export, ICON.DOWNLOAD, "shift", "Surface", why_not=no_surface),
+        *with_precondition(
+            no_fields_to_show,
+            Command("Export the fields…", None, export_fields, ICON.DOWNLOAD, group="Surface"),
+        ),
         *(
             Command(f"Draw as {name.lower()}", None, set_to(look=look), ICON.CUBE, group="Surface")
             for look, name in LOOKS

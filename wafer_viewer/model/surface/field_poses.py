@@ -181,6 +181,11 @@ class Poses:
     final: bool = True
     notes: tuple[str, ...] = ()
 
+    def excess_um(self, n: int, dx_um: Numbers, dy_um: Numbers) -> Numbers:
+        """Return how much too high field n is at (dx_um, dy_um) from its centre."""
+        offset_um, tilt_x, tilt_y = self.z_um[n], self.tilt_x[n], self.tilt_y[n]
+        return offset_um + tilt_x * dx_um + tilt_y * dy_um + self.form.sag_um(dx_um, dy_um)
+
 
 @runtime_checkable
 class HasPoses(Protocol):

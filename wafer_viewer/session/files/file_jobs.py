@@ -30,7 +30,7 @@ from wafer_viewer.session.core.dataset_library import (
     summarise,
 )
 from wafer_viewer.session.reporting.report import make_report
-from wafer_viewer.session.surface.worker_tasks import export_surface, import_images
+from wafer_viewer.session.surface.worker_tasks import export_fields, export_surface, import_images
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, Finished, JournalWriter, ScanRecord, write_record
 from wafer_viewer.store.io.atomic_files import atomic_write
@@ -205,6 +205,12 @@ class FileJobs:
         return self._background.run(
             f"Export to {out.name}", export_surface, dataset.path, result, field, out, every, part
         ).done
+
+    @observer_command
+    def export_fields(self, path: Path) -> Future[Path]:
+        """Write the fields of the stitched surface as images in place, NAME.ome.zarr."""
+        out, dataset, result = Path(path).absolute(), self._library.dataset, self._library.result_name
+        return self._background.run(f"Fields to {out.name}", export_fields, dataset.path, result, out).done
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
         """Write the report of the open dataset, on the session's thread; the future's result is its path."""

@@ -151,6 +151,15 @@ def export_surface(
     return export(surface if part is None else PartOfMosaic(surface, part), out, every, progress, should_stop)
 
 
+def export_fields(
+    dataset: Path, result: str, out: Path, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> Path:
+    """Write the fields of a stitched surface as images in place."""
+    from wafer_viewer.session.surface.field_export import write_fields
+
+    return write_fields(dataset, out, result, progress, should_stop)
+
+
 def warm_up() -> None:
     """Compile or load every kernel, by making and stitching a surface of a few pixels."""
     from wafer_viewer.reconstruct.field_pipeline import reconstruct

@@ -36,6 +36,8 @@ NOT_IN_OLDER = ("u_um", *COUNTS)
 """Layers that mosaics of earlier versions lack."""
 NGFF_VERSION = "0.5"
 """Version of OME-NGFF for Zarr 3."""
+NGFF_SCENE_VERSION = "0.6"
+"""Version of OME-NGFF with scenes; fewer programs read it so far."""
 METHODS = {"z_min_um": "minimum", "z_max_um": "maximum", "origin": "minimum"}
 """Downscaling method of layers that are not means: the smallest code of an origin is the best."""
 FROM_LEVEL_1 = (*EXTREMES, *COUNTS)
