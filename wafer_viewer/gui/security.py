@@ -23,6 +23,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
+from wafer_viewer.gui.message_wakeup import wake_senders_on_their_loop
 from wafer_viewer.session.core.page_token import new_token
 
 Answer = Callable[[ServerConnection, Request], Response | None]
@@ -140,6 +141,7 @@ class AccessGuard:
 def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.ViserServer, AccessGuard]:
     """Open a viser server that is guarded from its first request on and cannot be shared through a tunnel."""
     guard = AccessGuard(host, token or new_token())
+    wake_senders_on_their_loop()
     with _guarding(guard), contextlib.redirect_stdout(io.StringIO()):  # viser would print an address without the token
         server = viser.ViserServer(host=host, port=port, verbose=False)
     guard.bound_to(server.get_port())
