@@ -18,10 +18,13 @@ from tests.browser.sessions.fake_session import a_job
 from tests.browser.sessions.gauge_blocks import CERTIFICATE_TOML
 from tests.browser.steps import eventually, go_to, press, set_numbers, text_field, title_is
 from tests.browser.test_exchange import a_part
+from tests.support.datasets.grid_dataset import REGISTERED, RESULT, add_surfaces, make_dataset
+from tests.truth.field_grid import SMALL, make
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.session import Session
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.formats.exporters import export
 from wafer_viewer.store.formats.readers import read_surface
 from wafer_viewer.store.records.golden_dies import save_golden
@@ -241,3 +244,27 @@ def test_a_golden_die_is_chosen_from_a_file_and_kept_on_the_shelf(page: Page, se
     expect(chosen).to_have_attribute("aria-pressed", "true")
     expect(chosen).to_contain_text("lx7")
     assert (data / "golden" / "lx7.1.golden.npz").exists()
+
+
+def test_the_fields_of_a_stitched_surface_are_exported_as_images_in_place(page: Page, session: Session, data: Path):
+    made = make(SMALL)
+    dataset = make_dataset(data / "grid.wafer", made)
+    add_surfaces(dataset, made, range(len(made.fields)))
+    bring_up_to_date(dataset, RESULT, REGISTERED)
+    session.open_dataset(dataset).result(WORK_S)
+    session.wait_until(lambda now: now.surface is not None, WORK_S)
+    go_to(page, "Surface")
+    page.keyboard.press("Control+k")
+    page.get_by_placeholder("Search").fill("export the fields")
+    page.keyboard.press("Enter")
+    dialog = page.get_by_role("dialog", name="Export the fields")
+    expect(dialog).to_contain_text("Each field as an image in its solved place")
+    expect(text_field(page, "File name")).to_have_value("grid.ome.zarr")
+    row(page, "exports").dblclick()
+    expect(dialog).to_contain_text(f"Saved in {data / 'exports'}")
+    answer(page, "Save")
+    scene = data / "exports" / "grid.ome.zarr"
+    eventually(scene.exists, "the scene is written")
+    images = [path.name for path in scene.iterdir() if path.is_dir()]
+    assert sorted(images) == sorted(field.name for field in made.fields)
+    expect(page.get_by_text("Fields exported")).to_be_visible()

@@ -201,10 +201,7 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
         ),
         Command("Colours from 0.5 to 99.5 %", "J", set_to(range_um=None), ICON.CHART_HISTOGRAM, group="Surface"),
         Command("Export the surface…", "E", export, ICON.DOWNLOAD, "shift", "Surface", why_not=no_surface),
-        *with_precondition(
-            no_fields_to_show,
-            Command("Export the fields…", None, export_fields, ICON.DOWNLOAD, group="Surface"),
-        ),
+        Command("Export the fields…", None, export_fields, ICON.DOWNLOAD, group="Surface", why_not=no_surface),
         *(
             Command(f"Draw as {name.lower()}", None, set_to(look=look), ICON.CUBE, group="Surface")
             for look, name in LOOKS
