@@ -47,6 +47,7 @@ from wafer_viewer.cli.output import (
     print_files,
     print_focus,
     print_json,
+    print_lines,
     print_motion,
     print_passes,
     print_plan,
@@ -316,13 +317,15 @@ def import_(
 def check(dataset: DatasetFolder) -> int:
     """Test every checksum of a dataset and name missing frames; status 1 when something is damaged or missing.
 
-    All files that a number depends on are read: frames, scan record, journal, surfaces, poses, recipes, results.
+    All files that a number depends on are read: frames, scan record, journal, surfaces, poses, recipes, results; and
+    the signed logs beside the dataset. Verdicts and gauge checks are derived again from their numbers.
     Also checks the passes of a scan against the counts of the pulse box and the times of their frames.
 
     Args:
         dataset: The dataset.
     """
     from wafer_viewer.model.errors import DatasetError
+    from wafer_viewer.session.reporting.record_check import check_records
     from wafer_viewer.store.dataset.dataset import Dataset, check_passes
     from wafer_viewer.store.dataset.integrity import check_files, digests_of_result, digests_of_scan
 
@@ -346,7 +349,9 @@ def check(dataset: DatasetFolder) -> int:
     print_digests(digests_of_scan(dataset))
     for name in data.results():
         print_digests(digests_of_result(data.result(name)))
-    return 0 if report.ok and passes.ok else 1
+    records = check_records(data)
+    print_lines((*records.logs, *records.faults))
+    return 0 if report.ok and passes.ok and not records.faults else 1
 
 
 def compress(dataset: DatasetFolder, codec: str = "zstd") -> int:

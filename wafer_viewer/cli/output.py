@@ -193,6 +193,12 @@ def print_check(data: Dataset, report: CheckReport) -> None:
         print(f"  {fault}")
 
 
+def print_lines(lines: Iterable[str]) -> None:
+    """Print sentences, one a line."""
+    for line in lines:
+        print(line)
+
+
 def print_storage(data: Dataset) -> None:
     """Print the size of the frames on disk, and how many times smaller they are than uncompressed."""
     stored = data.frame_bytes()

@@ -11,7 +11,7 @@ from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.job import GRAVEST, FeatureVerdict, JudgedDie, Word
+from wafer_viewer.model.job import GRAVEST, FeatureVerdict, Job, JudgedDie, WaferVerdict, Word
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
@@ -148,6 +148,30 @@ def next_action(items: Sequence[FeatureVerdict]) -> str:
         case _:
             reasons = dict.fromkeys(item.why for item in items if item.word == "no verdict")
             return " ".join(reasons) or "The job has no feature with a place to measure: ask the engineer."
+
+
+def contradiction(verdict: WaferVerdict, job: Job) -> str | None:
+    """Return the first thing that a stored verdict says against its own numbers or its job; None if there is none.
+
+    Words follow from values, uncertainties and limits, so they are derived again: a value that was changed in the file
+    keeps its old word.
+    """
+    for item in verdict.items:
+        if item.feature not in job.features:
+            return f"'{item.name}' has other limits or places than in the job"
+        if item.measured is None:
+            continue
+        if (fault := item.measured.contradiction) is not None:
+            return f"'{item.name}': {fault}"
+        if (word := judge(item.feature, item.measured).word) != item.word:
+            return f"'{item.name}' is said to be {item.word}, and is {word} by its value and limits"
+    if verdict.word != overall(verdict.items):
+        return f"the wafer is said to be {verdict.word}, and is {overall(verdict.items)} by its features"
+    if {die.name: die.word for die in verdict.dies} != {
+        die.name: die.word for die in judge_dies(verdict.items, job.dies)
+    }:
+        return "the words on its dies are not those of their features"
+    return None
 
 
 def scans_needed(item: FeatureVerdict) -> int | None:

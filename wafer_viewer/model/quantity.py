@@ -13,6 +13,10 @@ UStatus = Literal["evaluated", "not evaluated", "uncalibrated"]
 Unit = Literal["um", "um2", "um3", "deg", "mrad"]
 
 
+ROUNDING = 1e-9
+"""Relative difference of a stored number from one that is derived again."""
+
+
 class BudgetLine(Spec, frozen=True, kw_only=True):
     """One line of a quantity's budget: a standard uncertainty (k = 1) in the quantity's unit."""
 
@@ -36,6 +40,14 @@ class Quantity(Spec, frozen=True, kw_only=True):
         """Return a quantity whose expanded uncertainty is twice the root sum of squares of a budget."""
         expanded = 2 * _root_sum_of_squares(line.u for line in budget)
         return cls(value=value, unit=unit, expanded=expanded, status="evaluated", budget=budget)
+
+    @property
+    def contradiction(self) -> str | None:
+        """Sentence on an uncertainty that is not that of its budget; None if they agree."""
+        expanded = 2 * _root_sum_of_squares(line.u for line in self.budget)
+        if self.expanded is None or not self.budget or math.isclose(self.expanded, expanded, rel_tol=ROUNDING):
+            return None
+        return f"U is said to be {self.expanded:.3g} {self.unit}, and is {expanded:.3g} by its budget"
 
 
 class Contribution(Spec, frozen=True, kw_only=True):

@@ -229,7 +229,7 @@ def rig_of(folder, patience_s):
     session = Session(folder)
     try:
         now = session.wait_until(lambda s: s.rig.state == "ready", patience_s)
-        assert (now.rig.calibration is None) == any("line 1" in fault.text for fault in now.faults)
+        assert (now.rig.calibration is None) == any(f"{CALIBRATIONS} was altered" in fault.text for fault in now.faults)
         return now.rig
     finally:
         session.close()

@@ -99,7 +99,7 @@ def test_a_torn_last_line_is_ignored_and_the_next_check_takes_its_place(tmp_path
 def test_a_damaged_line_is_named(tmp_path):
     sign(tmp_path, record("2026-06-01", 400.0))
     log = tmp_path / GAUGE_LOG
-    log.write_bytes(b"{half\n" + log.read_bytes())
+    log.write_bytes(log.read_bytes().replace(b"400.0", b"400.1", 1))
     with pytest.raises((MeasureError, DatasetError), match="line 1"):
         signed_checks(tmp_path)
 

@@ -20,7 +20,7 @@ from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeLine, GaugeRepeat, GaugeTerms, Role
-from wafer_viewer.model.quantity import Contribution, Length, Word
+from wafer_viewer.model.quantity import ROUNDING, Contribution, Length, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -298,6 +298,42 @@ def gauge_check(
         show=repeats[-1].show,
         simulated=any(repeat.simulated for repeat in repeats),
     )
+
+
+def contradiction(check: GaugeCheck) -> str | None:
+    """Return the first thing that a stored check says against its own repeats, certificate and budget; None if none.
+
+    Everything but the budget is derived again from them, so a number that was changed in the file contradicts another.
+    """
+    mean_um, reference_um = (
+        fmean(r.height.value_um for r in check.repeats),
+        reference_at(check.certificate, check.terms),
+    )
+    derived = {
+        "height": length_of(mean_um, check.budget, "scale", "measurement"),
+        "reference": length_of(reference_um, check.budget, "reference"),
+        "error": length_of(mean_um - reference_um, check.budget, "measurement", "reference"),
+    }
+    stored = {"height": check.height, "reference": check.reference, "error": check.deviation}
+    for name, length in derived.items():
+        if not _agree(length, stored[name]):
+            return f"the {name} is said to be {_text(stored[name])}, and is {_text(length)} by its repeats and budget"
+    word, _ = judge_error(check.deviation, check.terms.limit_um)
+    if word != check.verdict:
+        return f"the verdict is said to be {check.verdict}, and is {word} by the error and its limit"
+    score = en(check.height, check.reference)
+    if (score is None) != (check.en is None) or not math.isclose(score or 0.0, check.en or 0.0, abs_tol=ROUNDING):
+        return "En is not that of the height and the reference"
+    return None
+
+
+def _agree(a: Length, b: Length) -> bool:
+    pairs = ((a.value_um, b.value_um), (a.expanded_um or 0.0, b.expanded_um or 0.0))
+    return all(math.isclose(x, y, rel_tol=ROUNDING, abs_tol=ROUNDING) for x, y in pairs)
+
+
+def _text(length: Length) -> str:
+    return f"{length.value_um:.4f} um, U {length.expanded_um or 0.0:.4f} um"
 
 
 def en(x: Length, reference: Length) -> float | None:

@@ -166,10 +166,10 @@ class CalibrationController:
     def _evaluated(self, kind: CalibrationKind, one: KindOfCalibration, base: Calibration) -> PendingCalibration:
         """Evaluate the signed checks of this rig."""
         from wafer_viewer.session.calibration.records import FROM_CHECKS
-        from wafer_viewer.store.records.gauge_records import signed_checks
+        from wafer_viewer.session.gauge.signed_checks import trusted_checks
 
         name = self._command_queue.now.rig.name
-        checks = [record for record in signed_checks(self._folder) if record.rig == name]
+        checks = [record for record in trusted_checks(self._folder) if record.rig == name]
         if not checks:
             raise RigError(f"{one.title}: {name} has no signed check against gauge blocks. Sign one first.")
         return PendingCalibration(FROM_CHECKS[kind](checks, base), base, checks[-1].check.simulated)

@@ -216,11 +216,11 @@ class GaugeController:
         )
 
     def _records(self, certificate: Certificate | None) -> tuple[GaugeRecord, ...]:
-        from wafer_viewer.store.records.gauge_records import signed_checks
+        from wafer_viewer.session.gauge.signed_checks import trusted_checks
 
         if certificate is None:
             return ()
-        shown, records = self._command_queue.now.dataset, signed_checks(self._folder, certificate.serials)
+        shown, records = self._command_queue.now.dataset, trusted_checks(self._folder, certificate.serials)
         rig = self._command_queue.now.rig.name if shown is None else self._library.dataset.scan.rig
         return tuple(record for record in records if record.rig == rig)
 

@@ -11,11 +11,12 @@ from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeRecord, GaugeTerms, RunChart
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.session.gauge import gauge_check as work
+from wafer_viewer.session.gauge.signed_checks import trusted_checks
 from wafer_viewer.session.state.inspection_state import Faces
 from wafer_viewer.session.surface.headless import is_dataset
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.records.gauge_records import read_certificate, sign, signed_checks
+from wafer_viewer.store.records.gauge_records import read_certificate, sign
 
 
 class History(Spec, frozen=True, kw_only=True):
@@ -72,7 +73,7 @@ def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um:
     """Return the signed checks of a folder. Raises MeasureError if there are none, or of several pairs of blocks."""
     from wafer_viewer.measure.gauge.run_chart import run_chart
 
-    records = signed_checks(folder, serials)
+    records = trusted_checks(folder, serials)
     records = records if rig is None else _of_rig(records, rig)
     pairs = dict.fromkeys((record.rig, record.check.certificate.serials) for record in records)
     if len(pairs) > 1:
@@ -97,7 +98,7 @@ def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
 
 def _records(src: Sequence[Path], certificate: Certificate, log: Path | None) -> tuple[GaugeRecord, ...]:
     """Return the signed checks of the same blocks on the same rig."""
-    return _of_rig(signed_checks(log or src[0].parent, certificate.serials), _rig(src[0]))
+    return _of_rig(trusted_checks(log or src[0].parent, certificate.serials), _rig(src[0]))
 
 
 def _rig(src: Path) -> str:

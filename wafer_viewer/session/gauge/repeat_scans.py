@@ -118,7 +118,7 @@ def study_of(scans: Sequence[_Scan], feature: Feature, job: Job) -> Study:
 def _measured(scan: _Scan, feature: Feature, job: Job) -> dict[str, Quantity]:
     """Return the values of a feature in a scan, by die; a stored value is used if it belongs to the same feature."""
     result = scan.data.result(scan.result)
-    verdict, dies_then = stored_verdict(result), scan.data.scan.job.dies
+    verdict, dies_then = stored_verdict(scan.data, result), scan.data.scan.job.dies
     values = {
         item.die: item.measured
         for item in (verdict.items if verdict is not None and (not feature.per_die or dies_then == job.dies) else ())

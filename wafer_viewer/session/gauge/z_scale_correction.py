@@ -11,7 +11,8 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import GaugeRecord, ScaleCorrection
 from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
 from wafer_viewer.session.core.dataset_library import today
-from wafer_viewer.store.records.gauge_records import calibration_in_force, signed_checks
+from wafer_viewer.session.gauge.signed_checks import trusted_checks
+from wafer_viewer.store.records.gauge_records import calibration_in_force
 
 
 def offered(record: GaugeRecord, in_force: Calibration) -> ScaleCorrection:
@@ -70,7 +71,7 @@ def last_check(folder: Path, serials: Sequence[str]) -> GaugeRecord:
 
     Raises MeasureError if there is none.
     """
-    records = signed_checks(folder, serials)
+    records = trusted_checks(folder, serials)
     if not records:
         blocks = f" of block{'' if len(serials) == 1 else 's'} {' and '.join(serials)}" if serials else ""
         raise MeasureError(f"{folder} has no signed check{blocks}: sign one with measure gauge … --sign NAME.")

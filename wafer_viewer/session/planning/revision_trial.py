@@ -197,7 +197,7 @@ def _judged_before(data: Dataset, result: str) -> _Before:
     from wafer_viewer.measure.verdict import judge_features
 
     stored, job = data.result(result), data.scan.job
-    surface, verdict = stored.mosaic(), stored_verdict(stored)
+    surface, verdict = stored.mosaic(), stored_verdict(data, stored)
     items = (
         verdict.items
         if verdict is not None

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.job import Job, WaferVerdict
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Provenance
@@ -69,15 +69,23 @@ class Judge:
         )
 
 
-def stored_verdict(result: Result) -> WaferVerdict | None:
-    """Return the stored verdict on this very surface of a result; None if there is none."""
+def stored_verdict(data: Dataset, result: Result) -> WaferVerdict | None:
+    """Return the stored verdict on this very surface of a result; None if there is none.
+
+    Raises DatasetError when the file is damaged or contradicts itself or the job.
+    """
+    from wafer_viewer.measure.verdict import contradiction
     from wafer_viewer.store.io.checksums import load_json
 
     path = result.path / FILE
     if not (path.exists() and result.has_mosaic):
         return None
     verdict = load_json(path, WaferVerdict)
-    return verdict if verdict.surface == _mark(result.mosaic().provenance) else None
+    if verdict.surface != _mark(result.mosaic().provenance):
+        return None
+    if (fault := contradiction(verdict, data.scan.job)) is not None:
+        raise DatasetError(f"{path} was altered: {fault}. Remove it to have the wafer judged again.")
+    return verdict
 
 
 def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
@@ -90,7 +98,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
     job, mosaic = data.scan.job, result.mosaic()
     require_features(job)
-    if (stored := stored_verdict(result)) is not None:
+    if (stored := stored_verdict(data, result)) is not None:
         return stored
     calibrated = data.calibration_problem(today()) is None
     items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)

@@ -9,16 +9,13 @@ from wafer_viewer.model.acquisition.conformance import ConformanceReport, Confor
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.quantity import Word
 from wafer_viewer.model.report import Report, ReportSection, Table
-from wafer_viewer.session.session_restore import KEPT_IN
 from wafer_viewer.store.records.conformance_reports import (
     VerifiedConformance,
-    known_public_key,
-    public_key,
-    signing_key,
     verified_report,
     write_signed,
 )
 from wafer_viewer.store.records.report_file import report_html
+from wafer_viewer.store.records.signing_key import known_public_key, public_key, signing_key
 
 HEADS = ("Check", "Verdict", "Measured", "Demand")
 CELLS = {"passed": "PASS", "failed": "FAIL", "not run": "not run"}
@@ -50,7 +47,7 @@ def write_conformance(report: ConformanceReport, path: Path, data_folder: Path) 
     DatasetError
         When a file cannot be written, or the key cannot be read.
     """
-    key = signing_key(data_folder / KEPT_IN)
+    key = signing_key(data_folder)
     return write_signed(report, report_html(conformance_page(report, public_key(key))), path, key)
 
 
@@ -82,7 +79,7 @@ def verify_conformance(path: Path, key: str = "") -> VerifiedConformance:
 
 def own_key(data_folder: Path) -> str:
     """Return the public key of a data folder, hex; an empty text if it has signed no report."""
-    return known_public_key(data_folder / KEPT_IN)
+    return known_public_key(data_folder)
 
 
 def conformance_page(report: ConformanceReport, key: str) -> Report:

@@ -243,6 +243,6 @@ def gather(folder: Path, result_name: str) -> Material:
         info,
         result.findings().items,
         read_notebook(result.path),
-        stored_verdict(result),
+        stored_verdict(dataset, result),
         read_inspection(result.path),
     )

@@ -10,7 +10,6 @@ from __future__ import annotations
 import datetime
 import os
 import socket
-import sys
 import time
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.file_lock import hold
 
 _TRIES, _PAUSE_S = 5, 0.02
 """Number of attempts, and pause in s: `holder_of` locks the file briefly itself, so one refusal is no proof."""
@@ -74,7 +74,7 @@ def holder_of(folder: Path) -> Holder | None:
         return None
     try:
         holder = _read(descriptor)
-        return holder if _elsewhere(holder) or not _hold(descriptor) else None
+        return holder if _elsewhere(holder) or not hold(descriptor) else None
     finally:
         os.close(descriptor)
 
@@ -88,10 +88,10 @@ def _refusal(folder: Path, holder: Holder | None, held: bool) -> str:
 
 def _hold_patiently(descriptor: int) -> bool:
     for _ in range(_TRIES - 1):
-        if _hold(descriptor):
+        if hold(descriptor):
             return True
         time.sleep(_PAUSE_S)
-    return _hold(descriptor)
+    return hold(descriptor)
 
 
 def _elsewhere(holder: Holder | None) -> bool:
@@ -114,25 +114,3 @@ def _write(descriptor: int, text: bytes) -> None:
 
 def _now() -> str:
     return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _hold(descriptor: int) -> bool:
-        os.lseek(descriptor, 1 << 20, os.SEEK_SET)  # past the text, which others may read
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
-
-else:
-    import fcntl
-
-    def _hold(descriptor: int) -> bool:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return False
-        return True

@@ -313,35 +313,29 @@ _OTHER_MENDS = {
 }
 
 
-def append_line(path: Path, entry: Spec) -> None:
-    """Append an entry. Raises DatasetError when it cannot be written; the entry then does not count."""
-    text = sealed_line(msgspec.json.encode(entry)) + b"\n"
+def append_bytes(path: Path, line: bytes) -> None:
+    """Append a line to a log, in the place of a torn last one. Raises DatasetError when it cannot be written.
+
+    The line then does not count.
+    """
     with os_errors_as_dataset_errors(path):
         path.touch()
-        os.truncate(path, _end_of_complete_lines(path.read_bytes()))
+        os.truncate(path, len(complete_lines(path)))
         with path.open("ab", buffering=0) as file:
-            if file.write(text) != len(text):
+            if file.write(line) != len(line):
                 raise DatasetError(f"{path} cannot be written: the disk is full: free some space.")
             os.fsync(file.fileno())
 
 
-def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
-    """Return the entries, oldest first; empty if there is no log. Raises DatasetError when one is damaged."""
+def complete_lines(path: Path) -> bytes:
+    """Return the lines of a log without a torn last one; empty if there is no log.
+
+    Raises DatasetError when it cannot be read.
+    """
     if not path.exists():
-        return ()
+        return b""
     try:
         text = path.read_bytes()
     except OSError as fault:
         raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
-    lines = text[: _end_of_complete_lines(text)].splitlines()
-    return tuple(_decoded(line, kind, f"{path}, line {n}") for n, line in enumerate(lines, 1))
-
-
-def _decoded(line: bytes, kind: type[S], name: str) -> S:
-    if line_state(line) is Checksum.DAMAGED:
-        raise DatasetError(f"{name} is damaged, its checksum differs: restore it from a copy.")
-    return decode(strip_checksum(line), kind, name, "json")
-
-
-def _end_of_complete_lines(text: bytes) -> int:
-    return text.rfind(b"\n") + 1
+    return text[: text.rfind(b"\n") + 1]

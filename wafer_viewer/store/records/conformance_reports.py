@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,14 +16,13 @@ import msgspec
 
 from wafer_viewer.model.acquisition.conformance import ConformanceReport, ReportSignature, SignedConformance
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import atomic_write, write_text
+from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import load_json, save_json
+from wafer_viewer.store.records.signing_key import is_signed, public_key
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-KEY_FILE = "conformance-key.pem"
-OWNER_ONLY = 0o600
 PAGE, RECORD = ".html", ".json"
 
 
@@ -34,28 +32,6 @@ class VerifiedConformance:
 
     report: ConformanceReport
     key: str
-
-
-def signing_key(folder: Path) -> Ed25519PrivateKey:
-    """Return the key of a folder, made at the first call and readable by its owner only.
-
-    Raises DatasetError when it cannot be written or read.
-    """
-    path = folder / KEY_FILE
-    if not path.exists():
-        _make_key(path)
-    return _read_key(path)
-
-
-def known_public_key(folder: Path) -> str:
-    """Return the public key of a folder, hex; an empty text if it has none."""
-    path = folder / KEY_FILE
-    return public_key(_read_key(path)) if path.exists() else ""
-
-
-def public_key(key: Ed25519PrivateKey) -> str:
-    """Return the public key, hex."""
-    return key.public_key().public_bytes_raw().hex()
 
 
 def report_paths(path: Path) -> tuple[Path, Path]:
@@ -94,43 +70,13 @@ def verified_report(path: Path) -> VerifiedConformance:
     return VerifiedConformance(report, signed.signature.key)
 
 
-def _make_key(path: Path) -> None:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-
-    content = Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    with atomic_write(path) as temporary:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, OWNER_ONLY), "wb") as file:
-            file.write(content)
-
-
-def _read_key(path: Path) -> Ed25519PrivateKey:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
-
-    mend = "restore it from a copy, or remove it for a new one"
-    try:
-        key = load_pem_private_key(path.read_bytes(), None)
-    except (OSError, ValueError, TypeError) as fault:
-        raise DatasetError(f"{path} holds no key ({fault}): {mend}.") from fault
-    if not isinstance(key, Ed25519PrivateKey):
-        raise DatasetError(f"{path} holds another kind of key: {mend}.")
-    return key
-
-
 def _require_signature(record: Path, signed: SignedConformance) -> None:
     """Raise DatasetError unless the signature fits."""
-    from cryptography.exceptions import InvalidSignature
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
-    try:
-        key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(signed.signature.key))
-        key.verify(bytes.fromhex(signed.signature.value), _signed_bytes(signed.report, signed.page_sha256))
-    except (InvalidSignature, ValueError) as fault:
+    content = _signed_bytes(signed.report, signed.page_sha256)
+    if not is_signed(content, signed.signature.key, signed.signature.value):
         raise DatasetError(
             f"{record} was altered: its signature does not fit its contents. Ask the lab for the original."
-        ) from fault
+        )
 
 
 def _signed_bytes(report: dict[str, Any], page_sha256: str) -> bytes:

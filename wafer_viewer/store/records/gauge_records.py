@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.gauge import Certificate, GaugeRecord
 from wafer_viewer.model.spec import Spec, decode
-from wafer_viewer.store.io.checksums import append_line, read_lines
+from wafer_viewer.store.records.signed_log import append_record, read_log
 
 CALIBRATIONS = "calibrations.jsonl"
 
@@ -32,12 +32,12 @@ class CalibrationChange(Spec, frozen=True, kw_only=True):
 
 def record_change(folder: Path, change: CalibrationChange) -> None:
     """Append a calibration that applies to the rig's next scans."""
-    append_line(folder / CALIBRATIONS, change)
+    append_record(folder / CALIBRATIONS, change)
 
 
 def calibration_changes(folder: Path, rig: str) -> tuple[CalibrationChange, ...]:
-    """Return the calibration changes of a rig, oldest first. Raises DatasetError for a damaged line."""
-    return tuple(change for change in read_lines(folder / CALIBRATIONS, CalibrationChange) if change.rig == rig)
+    """Return the calibration changes of a rig, oldest first. Raises DatasetError for a damaged or altered log."""
+    return tuple(change for change in read_log(folder / CALIBRATIONS, CalibrationChange).records if change.rig == rig)
 
 
 def calibration_in_force(folder: Path, rig: str, own: Calibration | None) -> Calibration | None:
@@ -85,14 +85,14 @@ GAUGE_LOG = "gauge-checks.jsonl"
 
 def sign(folder: Path, record: GaugeRecord) -> None:
     """Append a signed check to the log of a data folder."""
-    append_line(folder / GAUGE_LOG, record)
+    append_record(folder / GAUGE_LOG, record)
 
 
 def signed_checks(folder: Path, serials: Iterable[str] = ()) -> tuple[GaugeRecord, ...]:
     """Return the signed checks of a data folder, oldest first, optionally for one set of serial numbers.
 
-    Raises DatasetError when a line of the log is damaged.
+    Raises DatasetError when a line of the log is damaged, or the log was altered.
     """
     wanted = set(serials)
-    records = read_lines(folder / GAUGE_LOG, GaugeRecord)
+    records = read_log(folder / GAUGE_LOG, GaugeRecord).records
     return tuple(r for r in records if not wanted or set(r.check.certificate.serials) == wanted)

@@ -1,0 +1,177 @@
+"""Signed logs of a data folder: no record is changed, removed, inserted or moved unnoticed.
+
+A line is a record as JSON with a last member ``"link"``: the SHA-256 of all bytes before the line, and the signature of
+that digest and the record with the key of the data folder. A head, beside the key, holds the number of lines and the
+digest of the whole log, signed, so that records at the end are missed, too. Lines of earlier versions have no link; the
+first link covers them.
+
+What a log cannot prove: a log that is replaced together with its head by an older state of both is a valid log, and who
+has the key can sign anything. Reports name the number of records and the key; keep them elsewhere.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Generic, TypeVar
+
+import msgspec
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.spec import Count, Spec, decode
+from wafer_viewer.store.io.checksums import (
+    Checksum,
+    append_bytes,
+    complete_lines,
+    line_state,
+    load_json,
+    save_json,
+    sealed_line,
+    strip_checksum,
+)
+from wafer_viewer.store.io.file_lock import locked
+from wafer_viewer.store.records.signing_key import (
+    KEPT_IN,
+    KNOWN_KEYS,
+    is_signed,
+    public_key,
+    signing_key,
+    trusted_keys,
+)
+
+S = TypeVar("S", bound=Spec)
+HEAD, LOCK = ".head", ".lock"
+RESTORE = "restore the log from a copy, or move it and its head away to begin a new one"
+_LINK = re.compile(rb',"link":\{"after":"([0-9a-f]{64})","key":"([0-9a-f]{64})","signature":"([0-9a-f]{128})"\}\}$')
+
+
+class LogHead(Spec, frozen=True, kw_only=True):
+    """Number of lines of a log and the SHA-256 of its bytes when the last was written, signed."""
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    lines: Count
+    sha256: str
+    key: str
+    signature: str
+
+
+@dataclass(frozen=True, slots=True)
+class SignedLog(Generic[S]):
+    """Records of a log, oldest first; n_signed: how many are signed; keys: public keys of the signatures, hex."""
+
+    records: tuple[S, ...]
+    n_signed: int
+    keys: tuple[str, ...]
+
+
+def append_record(path: Path, record: Spec) -> None:
+    """Append a record to the log of a data folder, signed with the folder's key.
+
+    Raises DatasetError when the log was altered, or cannot be written; the record then does not count.
+    """
+    with locked(path.parent / KEPT_IN / f"{path.name}{LOCK}"):
+        _append(path, msgspec.json.encode(record))
+
+
+def read_log(path: Path, kind: type[S]) -> SignedLog[S]:
+    """Return the records of a log. Raises DatasetError when a line is damaged, or the log was altered."""
+    content = complete_lines(path)
+    keys = _verify(path, content)
+    lines = content.splitlines()
+    records = tuple(
+        decode(_record_bytes(strip_checksum(line)), kind, f"{path}, line {n}", "json")
+        for n, line in enumerate(lines, 1)
+    )
+    return SignedLog(records, len(keys), tuple(dict.fromkeys(keys)))
+
+
+def _append(path: Path, text: bytes) -> None:
+    """Append a record, as JSON, and sign the new head."""
+    before = complete_lines(path)
+    _verify(path, before)
+    key, after = signing_key(path.parent), hashlib.sha256(before)
+    own, value = public_key(key), key.sign(_signed_bytes(after.digest(), text)).hex()
+    link = f',"link":{{"after":"{after.hexdigest()}","key":"{own}","signature":"{value}"}}}}'
+    line = sealed_line(text.removesuffix(b"}") + link.encode()) + b"\n"
+    append_bytes(path, line)
+    after.update(line)
+    n_lines = before.count(b"\n") + 1
+    signature = key.sign(_head_bytes(n_lines, after.hexdigest())).hex()
+    save_json(_head_path(path), LogHead(lines=n_lines, sha256=after.hexdigest(), key=own, signature=signature))
+
+
+def _record_bytes(line: bytes) -> bytes:
+    """Return a record without its link."""
+    link = _LINK.search(line)
+    return line if link is None else line[: link.start()] + b"}"
+
+
+def _verify(path: Path, content: bytes) -> list[str]:
+    """Verify checksums, links and head of a log, and return the keys of its signed lines.
+
+    Raises DatasetError with the line that does not fit.
+    """
+    digest, keys = hashlib.sha256(), list[str]()
+    digests = [digest.hexdigest()]
+    for n, line in enumerate(content.splitlines(keepends=True), 1):
+        if line_state(line.rstrip(b"\n")) is Checksum.DAMAGED:
+            raise DatasetError(f"{path}, line {n} is damaged, its checksum differs: restore it from a copy.")
+        text = strip_checksum(line.rstrip(b"\n"))
+        if (link := _LINK.search(text)) is not None:
+            after, key, value = (part.decode() for part in link.groups())
+            if after != digest.hexdigest():
+                raise _altered(path, f"line {n} does not follow the lines before it, one of which was changed or moved")
+            if not is_signed(_signed_bytes(digest.digest(), _record_bytes(text)), key, value):
+                raise _altered(path, f"the signature of line {n} does not fit its contents")
+            keys.append(key)
+        elif keys:
+            raise _altered(path, f"line {n} is not signed, those before it are")
+        digest.update(line)
+        digests.append(digest.hexdigest())
+    _verify_head(path, digests, keys)
+    _require_trusted(path, keys)
+    return keys
+
+
+def _verify_head(path: Path, digests: list[str], keys: list[str]) -> None:
+    """Require that a log is what its head says, or continues it; digests: of the first 0, 1, … lines."""
+    file = _head_path(path)
+    if not file.exists():
+        if keys:
+            raise _altered(path, f"its head {file} is missing, so lines at its end may be, too")
+        return
+    head = load_json(file, LogHead)
+    if not is_signed(_head_bytes(head.lines, head.sha256), head.key, head.signature):
+        raise _altered(path, f"the signature of its head {file} does not fit")
+    if len(digests) <= head.lines:
+        raise _altered(path, f"it has {len(digests) - 1} lines, and had {head.lines}: the last were removed")
+    if digests[head.lines] != head.sha256:
+        raise _altered(path, f"it is not the log that its head {file} was signed for")
+
+
+def _require_trusted(path: Path, keys: list[str]) -> None:
+    trusted = trusted_keys(path.parent)
+    if trusted and (foreign := [key for key in dict.fromkeys(keys) if key not in trusted]):
+        raise DatasetError(
+            f"{path} has records signed with the key {foreign[0]}, which is not the key of this folder: if you trust "
+            f"it, write it into {path.parent / KNOWN_KEYS}; else {RESTORE}."
+        )
+
+
+def _altered(path: Path, why: str) -> DatasetError:
+    return DatasetError(f"{path} was altered: {why}: {RESTORE}.")
+
+
+def _head_path(path: Path) -> Path:
+    return path.parent / KEPT_IN / f"{path.name}{HEAD}"
+
+
+def _signed_bytes(before: bytes, text: bytes) -> bytes:
+    """Return what the signature of a line covers: the digest of all before, and the record."""
+    return before + text
+
+
+def _head_bytes(n_lines: int, sha256: str) -> bytes:
+    return f"head of {n_lines} lines, {sha256}".encode()
