@@ -16,11 +16,14 @@ from pathlib import Path
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove_dead_parts
 from wafer_viewer.store.io.file_lock import hold
 
 _TRIES, _PAUSE_S = 5, 0.02
 """Number of attempts, and pause in s: `holder_of` locks the file briefly itself, so one refusal is no proof."""
+
+_NOT_OURS = frozenset({"frames"})
+"""Folders in which nothing is written aside."""
 
 
 class Holder(msgspec.Struct, frozen=True):
@@ -42,7 +45,10 @@ class Lock:
 
     @classmethod
     def take(cls, folder: Path) -> Lock:
-        """Acquire the lock. Raises DatasetError naming the holder when another process has it."""
+        """Acquire the lock, and remove what killed processes left half written.
+
+        Raises DatasetError naming the holder when another process has it.
+        """
         with os_errors_as_dataset_errors(folder / "lock"):
             descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
         held = not _hold_patiently(descriptor)
@@ -51,6 +57,7 @@ class Lock:
             os.close(descriptor)
             raise DatasetError(_refusal(folder, holder, held))
         _write(descriptor, msgspec.json.encode(Holder(os.getpid(), socket.gethostname(), _now())))
+        remove_dead_parts(folder, but=_NOT_OURS)
         return cls(descriptor)
 
     @property

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import re
+import time
 import zlib
 from collections import Counter
 from collections.abc import Callable
@@ -41,6 +43,10 @@ from wafer_viewer.store.dataset.scan_record import (
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space
 from wafer_viewer.store.io.checksums import save_json
 
+_OF_NEW_FOLDER = re.compile(rf"{FRAMES}|{RESULTS}|lock|{re.escape(JOURNAL)}|{re.escape(FLAT_FIELD)}|\..*\.part")
+"""Names of what is made before the record of the scan."""
+_MAKING_S = 2.0
+"""Age of a folder, in s, before which its process may not have locked it yet."""
 OnFieldComplete = Callable[[int], None]
 
 
@@ -301,10 +307,25 @@ def _part(path: Path) -> Path:
 
 
 def _make_folder(folder: Path) -> None:
+    _remove_half_made(folder)
     if folder.exists():
         raise DatasetError(f"{folder} exists already: choose another name, or continue its scan.")
     with os_errors_as_dataset_errors(folder):
         folder.mkdir()
+
+
+def _remove_half_made(folder: Path) -> None:
+    """Remove a folder whose process was killed before it was a dataset: no record, no frame, and nobody makes it."""
+    if not folder.is_dir() or any(not _OF_NEW_FOLDER.fullmatch(path.name) for path in folder.iterdir()):
+        return
+    journal, results = folder / JOURNAL, folder / RESULTS
+    if (journal.exists() and journal.stat().st_size) or (results.is_dir() and any(results.iterdir())):
+        return
+    if time.time() - folder.stat().st_mtime < _MAKING_S:
+        return
+    lock = Lock.take(folder)
+    remove(folder)
+    lock.release()
 
 
 def _create_files(folder: Path, record: ScanRecord, flat_field: FlatField | None) -> ScanRecord:

@@ -7,6 +7,8 @@ import os
 import re
 import secrets
 import shutil
+import sys
+import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -14,6 +16,10 @@ from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
 
+_PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
+"""Name of a file or folder that is being written, with the number of the process."""
+DEAD_AFTER_S = 900.0
+"""Age of the last change from which a part of no running process is dead; a live one changes every few seconds."""
 _MENDS = {
     errno.ENOSPC: "the disk is full: free some space or choose another folder",
     errno.EDQUOT: "the quota is used up: free some space or choose another folder",
@@ -83,6 +89,43 @@ def remove(path: Path) -> None:
     else:
         with suppress(OSError):
             path.unlink()
+
+
+def remove_dead_parts(folder: Path, *, but: frozenset[str] = frozenset()) -> tuple[Path, ...]:
+    """Remove what killed processes left half written below a folder, and return it; but: names of folders to skip.
+
+    A part is dead if its process does not run on this machine and nothing in it changed for a quarter of an hour: it
+    may be that of a process on another machine.
+    """
+    found: list[Path] = []
+    for place, folders, files in os.walk(folder):
+        parts = [Path(place) / name for name in (*folders, *files) if _PART.fullmatch(name)]
+        found += [part for part in parts if _is_dead(part)]
+        folders[:] = [name for name in folders if name not in but and not _PART.fullmatch(name)]
+    for part in found:
+        remove(part)
+    return tuple(found)
+
+
+def _is_dead(part: Path) -> bool:
+    match = _PART.fullmatch(part.name)
+    if match is None or (sys.platform != "win32" and _runs(int(match[1]))):
+        return False
+    inside = (Path(place) / name for place, folders, files in os.walk(part) for name in (*folders, *files))
+    with suppress(OSError):
+        return time.time() - max(path.lstat().st_mtime for path in (part, *inside)) > DEAD_AFTER_S
+    return False
+
+
+def _runs(pid: int) -> bool:
+    """Return whether a process runs on this machine."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def require_space(folder: Path, needed_bytes: int, purpose: str) -> None:

@@ -1,0 +1,106 @@
+"""What killed processes leave behind: a folder that is no dataset yet, and parts of files that were being written."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.support.datasets.samples import make_job, make_plan
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S
+
+MAKING = """
+import sys, pathlib, time
+from wafer_viewer.store.dataset import writer
+from tests.support.datasets.samples import make_job, make_plan
+writer.write_record = lambda *_: time.sleep(600)
+job = make_job()
+writer.DatasetWriter.create(pathlib.Path(sys.argv[1]), make_plan(job), job)
+"""
+
+
+def aged(path, seconds=DEAD_AFTER_S + 60):
+    then = time.time() - seconds
+    os.utime(path, (then, then))
+
+
+def create(path):
+    job = make_job()
+    return DatasetWriter.create(path, make_plan(job), job)
+
+
+@pytest.fixture
+def half_made(tmp_path):
+    """A folder whose maker is stopped before the record is written, and the maker."""
+    path = tmp_path / "a.wafer"
+    maker = subprocess.Popen([sys.executable, "-c", MAKING, str(path)])
+    try:
+        until = time.monotonic() + 60
+        while len(list(path.glob("frames/*.tif"))) < 2 and time.monotonic() < until:
+            time.sleep(0.05)
+        time.sleep(0.2)
+        yield path, maker
+    finally:
+        maker.kill()
+        maker.wait()
+
+
+def test_a_name_is_free_again_after_its_maker_was_killed(half_made):
+    path, maker = half_made
+    aged(path)
+    with pytest.raises(DatasetError, match="is being written by process"):
+        create(path)
+    maker.send_signal(signal.SIGKILL)
+    maker.wait()
+    aged(path)
+    create(path).close()
+    assert len(Dataset.open(path).fields) == 2
+
+
+def test_a_folder_with_anything_of_somebody_is_never_removed(tmp_path):
+    for name in ("notes.txt", "results/default", "scan.json"):
+        path = tmp_path / f"{name.replace('/', '-')}.wafer"
+        path.mkdir()
+        (path / "frames").mkdir()
+        (path / name).mkdir(parents=True)
+        aged(path)
+        with pytest.raises(DatasetError, match="exists already"):
+            create(path)
+        assert (path / name).exists()
+    counted = tmp_path / "counted.wafer"
+    counted.mkdir()
+    (counted / "journal.jsonl").write_text("{}\n")
+    aged(counted)
+    with pytest.raises(DatasetError, match="exists already"):
+        create(counted)
+
+
+def test_dead_parts_are_removed_by_whoever_takes_the_dataset_next(tmp_path):
+    create(tmp_path / "a.wafer").close()
+    result = tmp_path / "a.wafer" / "results" / "default"
+    (result / "surfaces").mkdir(parents=True)
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    dead = result / f".mosaic.zarr.{gone.pid}-0a1b2c.part"
+    dead_file = result / "surfaces" / f".r0000c0000.npz.{gone.pid}-0a1b2c.part"
+    young = result / f".poses.npz.{gone.pid}-0a1b2c.part"
+    alive = result / f".surface.json.{os.getpid()}-0a1b2c.part"
+    (dead / "z_um" / "0").mkdir(parents=True)
+    (dead / "z_um" / "0" / "zarr.json").write_text("{}")
+    for path in (dead_file, young, alive):
+        path.write_text("half")
+    for path in (dead / "z_um" / "0" / "zarr.json", dead / "z_um" / "0", dead / "z_um", dead, dead_file, alive):
+        aged(path)
+    Lock.take(tmp_path / "a.wafer").release()
+    assert not dead.exists()
+    assert not dead_file.exists()
+    assert young.exists(), "it may be that of a machine that works on the dataset, too"
+    assert alive.exists()
