@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import binary_opening, label
 
-from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
+from wafer_viewer.numerics.filters.regions import border_components, narrow_parts, small_components
 
 
 @settings(max_examples=30)
@@ -45,3 +45,13 @@ def test_a_strip_between_steps_is_narrow() -> None:
     expected[:, 10:13] = True
     np.testing.assert_array_equal(narrow_parts(z, 6.0, 4), expected)
     assert not narrow_parts(z, 6.0, 3).any()
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 500), share=st.floats(0.3, 0.8), depth=st.integers(1, 14))
+def test_components_at_the_border_are_those_that_reach_no_deeper(seed: int, share: float, depth: int) -> None:
+    mask = np.random.default_rng(seed).random((24, 33)) < share
+    labels = np.asarray(label(mask, np.ones((3, 3)))[0])
+    deep = np.isin(labels, labels[depth:-depth, depth:-depth])
+    expected = mask & ~deep if 2 * depth < 24 else np.zeros_like(mask)
+    np.testing.assert_array_equal(border_components(mask, depth), expected)

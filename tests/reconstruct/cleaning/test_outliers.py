@@ -55,6 +55,14 @@ def test_an_island_smaller_than_two_windows_is_an_outlier_and_a_larger_one_is_no
     assert not found[40:60, 40:60].any()
 
 
+def test_an_island_within_a_window_of_the_border_is_an_outlier_and_one_that_reaches_deeper_is_not() -> None:
+    z = np.full((120, 120), np.nan)
+    z[:, -9:], z[20:100, :40] = 50, 0
+    found = _found(z, _recipe())
+    assert found[:, -9:].all()
+    assert not found[20:100, :40].any()
+
+
 def test_a_strip_narrower_than_the_window_is_an_outlier_and_a_wider_one_is_not() -> None:
     z = np.zeros((80, 80))
     z[10:14, :], z[40:50, :] = 50, 50

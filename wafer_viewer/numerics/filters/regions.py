@@ -109,6 +109,23 @@ def regions_with_peaks(low: Bools, peaks: Bools) -> Bools:
     return found
 
 
+def border_components(mask: Bools, depth: int) -> Bools:
+    """Return a mask of the components that lie within `depth` pixels of the border; bool [row, col].
+
+    None in a map without a pixel deeper than that.
+    """
+    if min(mask.shape) <= 2 * depth:
+        return np.zeros(mask.shape, np.bool_)
+    strip, line = mask.copy(), mask.copy()
+    strip[depth + 1 : -depth - 1, depth + 1 : -depth - 1] = False
+    inside = np.zeros(mask.shape, np.bool_)
+    inside[depth:-depth, depth:-depth] = True
+    line &= inside
+    deep = regions_with_peaks(strip, line)
+    deep |= inside
+    return mask & ~deep
+
+
 def dilated(mask: Bools, reach_px: Int) -> Bools:
     """Dilate the mask by a square of `reach_px` rows and columns to each side; bool [row, col]."""
     out = np.zeros(mask.shape, np.bool_)

@@ -5,8 +5,9 @@ deviation over the field. `lattice` takes the neighbours among the surrounding p
 field that deviation is tiny and the rule would remove the edges of steps, so it has a lower bound.
 
 `lattice` detects three more kinds of isolated pixels: those that smoothing moved by much more than usual, those on
-strips narrower than three quarters of the focus window, and those on islands smaller than the square of two windows.
-Any real structure appears at least as wide as the window; smaller ones are artefacts of light that bleeds over an edge.
+strips narrower than three quarters of the focus window, and those on islands smaller than the square of two windows or
+within a window of the border. Any real structure appears at least as wide as the window; smaller ones are artefacts of
+light that bleeds over an edge.
 
 Edges of steps: a window across a jump sees the focus of both sides, and the sharper side wins, independent of the
 position of the jump. Where a silhouette separates the sides their heights are tested against them; here jumps without
@@ -33,7 +34,7 @@ from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 from wafer_viewer.numerics.filters.local_planes import local_planes
-from wafer_viewer.numerics.filters.regions import narrow_parts, small_components
+from wafer_viewer.numerics.filters.regions import border_components, narrow_parts, small_components
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
@@ -92,12 +93,16 @@ def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> 
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
     remaining = np.where(found, np.float32(np.nan), smoothed_um)
-    found |= small_components(remaining, floor_um, _least_island_px(window))
+    found |= _islands(remaining, floor_um, window)
     return found & np.isfinite(raw_um)
 
 
-def _least_island_px(window: int) -> int:
-    return (2 * window) ** 2
+def _islands(z_um: Map, floor_um: float, window: int) -> Found:
+    """Detect islands smaller than the square of two windows, and those within a window of the border.
+
+    What the border cuts off may be a wall whose light is all that the window sees: tests/truth/unseen.py.
+    """
+    return small_components(z_um, floor_um, (2 * window) ** 2) | border_components(np.isfinite(z_um), window)
 
 
 def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
@@ -352,7 +357,7 @@ def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bo
 
     A sliver of a slope caused by bleeding light may look flat by itself.
     """
-    return small_components(z_um, OUTLIER_FLOOR_STEPS * resolution_um, _least_island_px(int(recipe.window)))
+    return _islands(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window))
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:
