@@ -182,11 +182,15 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
         gate="along",
         question="Does the focus along the wall peak at that height?",
         score=_finite(edges.fall[row, col]),
-        limit=edges.min_fall,
+        limit=float(edges.min_fall[row, col]),
         unit=POWERS,
         passed=bool(edges.along[row, col]),
+        note=_BELOW_LINE if edges.below_line[row, col] else "",
     )
     return outline_verdict, along
+
+
+_BELOW_LINE = "Below a bright line, as of a polished rim, a height counts only where it does."
 
 
 def _wall_side_note(edges: BleedingEdges, row: int, col: int) -> str:

@@ -12,12 +12,16 @@ A nearby height limits the search to about a dozen frames, in tiles of a few tho
 Walls are silhouettes that persist through many frames. Near them a height is accepted only where it agrees with the
 surface on the same side further from the wall. On the dark side the focus is also measured along the wall, which is
 insensitive to light that bleeds across it; this recovers the rims of dies.
+
+A polished rim shows as a bright line. Between the line and the wall lies the dark slope of the die, without texture,
+and the focus window there sees the texture of the lower ground beyond. On ground below a line a height is therefore
+accepted only where the focus along the wall confirms it in a small window.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -27,7 +31,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.numerics.filters.sliding_filters import blurred, highest, lowest
+from wafer_viewer.numerics.filters.sliding_filters import blurred, doubled, highest, lowest
 from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
@@ -315,6 +319,12 @@ LEAST_GAP = 4
 OUTLINE_MARGIN_PX = 2
 """Distance from the outline of a wall over which sides are least certain, in pixels: tests/truth/unseen.py."""
 
+LINE_PX = 11
+"""Side of the largest square that a bright line cannot hold, in pixels: tests/truth/unseen.py."""
+
+LINE_WINDOW_PX = 7
+"""Largest focus window along a wall below a line, in pixels: tests/truth/unseen.py."""
+
 _TILE_PX = 96
 """Side of the tiles that are searched along walls, and rows that are read together, in pixels."""
 _WALL_SIGMA = 3.0
@@ -336,14 +346,16 @@ class BleedingEdges:
     side: codes of `EdgeSide`; expected_um: the height of the pixel's side further from the wall, NaN where none is
     near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
     fall: how far it falls from there, in powers of two, min_fall what noise reaches once in a hundred pixels;
-    tolerance_um: how far from the expected height a height may be.
+    below_line: whether a bright line above the expected height is near, bool; tolerance_um: how far from the expected
+    height a height may be.
     """
 
     side: NDArray[np.uint8]
     expected_um: NDArray[np.float32]
     z_um: NDArray[np.float32]
     fall: NDArray[np.float32]
-    min_fall: float
+    min_fall: NDArray[np.float32]
+    below_line: NDArray[np.bool_]
     tolerance_um: float
 
     def agrees(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -428,12 +440,25 @@ def find_edges(
         peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
     )
     expected_um = _expected(sides.side, dark_um, bright_um)
+    wall_um = doubled(frames.z_um.astype(np.float32)[band.frame], frames.shape)
+    below_line = _beside_lines(sides.side, how.reach_px) & (expected_um < wall_um - how.tolerance_um)
     z_um, fall = np.full(frames.shape, np.nan, np.float32), np.zeros(frames.shape, np.float32)
-    near = near_of(how, frames)
-    if how.mode == "rims":
-        wanted = np.where((sides.side == EdgeSide.DARK) & (origin != Origin.CLIPPED), expected_um, np.float32(np.nan))
-        _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
-    return BleedingEdges(sides.side, expected_um, z_um, fall, noise_fall(near), how.tolerance_um)
+    min_fall = np.zeros(frames.shape, np.float32)
+    fine = replace(how, window=min(how.window, LINE_WINDOW_PX))
+    searched = (sides.side == EdgeSide.DARK) & (origin != Origin.CLIPPED) & (how.mode == "rims")
+    for search, where in ((how, ~below_line), (fine, below_line)):
+        near = near_of(search, frames)
+        min_fall[where] = noise_fall(near)
+        wanted = np.where(searched & where, expected_um, np.float32(np.nan))
+        _search_along(frames, search, near, wanted, _wall_of(band, sides), z_um, fall, threads)
+    return BleedingEdges(sides.side, expected_um, z_um, fall, min_fall, below_line, how.tolerance_um)
+
+
+def _beside_lines(side: NDArray[np.uint8], reach_px: int) -> NDArray[np.bool_]:
+    """Return a mask of the dark pixels that have a bright line near them and nothing wider; bool [row, col]."""
+    bright = side >= EdgeSide.BRIGHT
+    wide = highest(lowest(bright, LINE_PX), LINE_PX)
+    return (side == EdgeSide.DARK) & highest(bright & ~wide, 2 * reach_px + 1) & ~highest(wide, 2 * reach_px + 1)
 
 
 def near_of(how: EdgeSearch, frames: Frames) -> Near:
@@ -446,12 +471,12 @@ def judge_edges(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return the heights and origins of a field corrected at its edges.
 
-    Near a wall a measured height is retained where it agrees with its side and is marked as bleeding otherwise; where
-    the focus along the wall gives a height it is used, whatever the gates decided.
+    Near a wall a measured height is retained where it agrees with its side, unless it lies below a line, and is marked
+    as bleeding otherwise; where the focus along the wall gives a height it is used, whatever the gates decided.
     """
     along = edges.along
     near_edge = edges.side != EdgeSide.AWAY
-    bleeding = near_edge & (origin == Origin.MEASURED) & ~edges.agrees(z_um)
+    bleeding = near_edge & (origin == Origin.MEASURED) & ~(edges.agrees(z_um) & ~edges.below_line)
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
 
@@ -531,7 +556,8 @@ def _search_along(
         tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
         found_um, found_fall = np.empty(part.shape, np.float32), np.empty(part.shape, np.float32)
         peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
-        z_um[at], fall[at] = found_um, found_fall
+        np.copyto(z_um[at], found_um, where=is_wanted[at])
+        np.copyto(fall[at], found_fall, where=is_wanted[at])
 
     on_threads(one, _tiles(is_wanted), threads)
 
