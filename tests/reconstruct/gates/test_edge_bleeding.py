@@ -24,15 +24,17 @@ from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus_evidence import focus_curve
 from wafer_viewer.reconstruct.gates.edge_bleeding import (
+    BleedingEdges,
     Near,
     Tile,
     Wall,
+    judge_edges,
     noise_fall,
     peaks_near,
     tangential_levels,
     tangential_margin_px,
 )
-from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, find_band
+from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, EdgeSide, find_band
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
@@ -92,7 +94,7 @@ def rims_of(taken: Taken) -> NDArray[np.bool_]:
 @pytest.mark.slow
 def test_hardly_a_kept_height_is_false(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     none, band, rims = (kept_and_false(mapped[mode], dies) for mode in ("none", "band", "rims"))
-    assert none[1] > 0.015
+    assert none[1] > 0.005
     assert band[1] < 0.003
     assert rims[1] < 0.003
     assert rims[0] > band[0] + 0.03
@@ -100,7 +102,7 @@ def test_hardly_a_kept_height_is_false(dies: Taken, mapped: dict[str, HeightMap]
 
 def test_the_rims_of_the_dies_come_back(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     rims = rims_of(dies)
-    assert kept_and_false(mapped["none"], dies, rims)[1] > 0.15
+    assert kept_and_false(mapped["none"], dies, rims)[1] > 0.05
     assert kept_and_false(mapped["band"], dies, rims)[0] < 0.4
     stored, false = kept_and_false(mapped["rims"], dies, rims)
     assert stored > 0.42
@@ -198,6 +200,28 @@ def test_a_die_without_texture_does_not_get_the_height_of_the_trench_beside_it(s
     scene = drawn_scene(seed)
     found = quality(reconstruct(scene.stack, threads=1).to_measure(), scene.truth_um, scene.limit_um)
     assert not found.false_fraction > 0.002  # nor where nothing is measured
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [41, 47, 50])
+def test_few_heights_are_false_where_walls_narrow_the_aperture_or_the_border_hides_them(seed: int) -> None:
+    """The slope of a polished rim, a specular floor deep between walls, and a wall in the last column of the frame."""
+    scene = drawn_scene(seed)
+    found = quality(reconstruct(scene.stack, threads=1).to_measure(), scene.truth_um, scene.limit_um)
+    assert not found.false_fraction > 0.03  # nor where nothing is measured
+
+
+def test_below_a_line_a_height_counts_where_the_focus_along_the_wall_confirms_it() -> None:
+    side = np.full((1, 30), EdgeSide.DARK, np.uint8)
+    height, origin = np.zeros(side.shape, np.float32), np.full(side.shape, Origin.MEASURED, np.uint8)
+    fall, below_line = np.zeros_like(height), np.zeros(side.shape, bool)
+    below_line[:, 10:], fall[:, 20:] = True, 2.0
+    edges = BleedingEdges(side, height, height + 1, fall, np.ones_like(height), below_line, tolerance_um=3.0)
+    z_um, found = judge_edges(height, origin, edges)
+    assert (found[:, :10] == Origin.MEASURED).all()
+    assert (found[:, 10:20] == Origin.BLEEDING_EDGE).all()
+    assert (found[:, 20:] == Origin.MEASURED).all()
+    assert (z_um[:, 20:] == 1).all()
 
 
 @pytest.fixture(scope="module")
