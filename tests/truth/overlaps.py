@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.field_poses import HeightOffsets, Numbers, RejectionReason, Shifts, no_candidates
+from wafer_viewer.model.surface.field_poses import (
+    N_CANDIDATE,
+    HeightOffsets,
+    Numbers,
+    RejectionReason,
+    Shifts,
+    no_candidates,
+)
 
 PIXEL_UM = 0.46729
 FIELD_UM = (1440 * PIXEL_UM, 1080 * PIXEL_UM)
@@ -78,6 +85,21 @@ def shifts_of(
     by = np.zeros(e, np.uint8)
     told = (*message.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing, nothing)
     return Shifts(first, second, *told, no_candidates(e)), true
+
+
+def repeating(shifts: Shifts, random: np.random.Generator, share: float, pitch_px: float) -> Shifts:
+    """A share of the overlaps shows a pattern of some pitch: they fit at the 25 periods next to the stage."""
+    few = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), axis=-1).reshape(-1, 2) * pitch_px * PIXEL_UM
+    rows = np.flatnonzero((random.random(len(shifts.first)) < share) & np.isfinite(shifts.u_x_um))
+    at = np.column_stack((shifts.x_um, shifts.y_um))[rows, None] + few
+    order = np.argsort(np.hypot(at[..., 0], at[..., 1]), axis=1)[:, :25]
+    table = np.full((len(shifts.first), 25, N_CANDIDATE), np.nan, np.float32)
+    table[rows, :, :2] = np.take_along_axis(at, order[..., None], axis=1)
+    table[rows, :, 2:5] = np.array([1, 0, 1]) / (EDGE_PX * PIXEL_UM) ** 2
+    table[rows, :, 5] = 0
+    x_um, y_um, doubt = shifts.x_um.copy(), shifts.y_um.copy(), shifts.doubt.copy()
+    x_um[rows], y_um[rows], doubt[rows] = *table[rows, 0, :2].T, RejectionReason.AMBIGUOUS
+    return replace(shifts, x_um=x_um, y_um=y_um, doubt=doubt, candidates=table)
 
 
 def seams_of(

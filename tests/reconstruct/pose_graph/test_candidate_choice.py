@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.truth.overlaps import EDGE_PX, PIXEL_UM, STAGE_PX, Fields, Numbers, grid, shifts_of
+from tests.truth.overlaps import EDGE_PX, PIXEL_UM, STAGE_PX, Fields, Numbers, grid, repeating, shifts_of
 from wafer_viewer.model.surface.field_poses import N_CANDIDATE, RejectionReason, Shifts
 from wafer_viewer.reconstruct.pose_graph.candidate_choice import Choice, choose_candidates
 
@@ -140,6 +140,16 @@ def test_what_was_measured_at_the_chosen_period_is_not_measured_again():
     assert not choice.to_measure.any()
     assert choice.shifts.believed.all()
     assert not chosen(fields, dataclasses.replace(known, x_um=at[:, 0] + 60 * PIXEL_UM)).shifts.believed.any()
+
+
+def test_a_few_patterns_among_very_many_fields_are_chosen_like_those_of_few_fields():
+    """From 2000 fields on, they are moved together by an iterative solver."""
+    fields, random = grid(60, 50), np.random.default_rng(8)
+    shifts, true = shifts_of(fields, random, wrong=0.02, blank=0.05)
+    shifts = repeating(shifts, random, 0.02, 45.0)
+    choice = chosen(fields, shifts)
+    assert choice.to_measure.sum() > 0.95 * shifts.repeats.sum() > 50
+    assert np.abs(error_px(fields, true, choice)).max() < 1.0
 
 
 def test_without_patterns_there_is_nothing_to_choose():

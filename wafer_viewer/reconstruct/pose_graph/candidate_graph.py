@@ -75,6 +75,8 @@ class ChoiceParameters:
 
 
 CHOICE = ChoiceParameters()
+_SOME_OVERLAPS = 4000
+"""Number of overlaps that show the spacing of the candidates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,11 +115,14 @@ class CandidateGraph:
     def spacing_px(self) -> float:
         """Median distance of the nearest two candidates of the overlaps with several; infinite without."""
         known = np.isfinite(self.misfit)
-        several = known.sum(axis=1) > 1
-        offset = np.where(known[several, :, None], self.offset[several], np.nan)
+        several = np.flatnonzero(known.sum(axis=1) > 1)
+        if not len(several):
+            return np.inf
+        some = several[:: 1 + len(several) // _SOME_OVERLAPS]
+        offset = np.where(known[some, :, None], self.offset[some], np.nan)
         apart = np.hypot(*np.moveaxis(offset[:, :, None] - offset[:, None], -1, 0))
         apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.inf
-        return float(np.median(np.nanmin(apart, axis=(1, 2)))) if several.any() else np.inf
+        return float(np.median(np.nanmin(apart, axis=(1, 2))))
 
     @property
     def decided_by_pictures(self) -> float:
@@ -148,16 +153,8 @@ def _with_single(shifts: Shifts, rows: NDArray[np.intp]) -> Numbers:
 def _with_slack(precision: Numbers) -> Numbers:
     """Return precisions (xx, xy, yy) with `ChoiceParameters.slack_px` added to the uncertainty."""
     known = np.isfinite(precision).all(axis=-1)
-    full = np.zeros((*precision.shape[:-1], 2, 2))
-    full[..., 0, 0], full[..., 1, 1] = np.where(known, precision[..., 0], 0), np.where(known, precision[..., 2], 0)
-    full[..., 0, 1] = full[..., 1, 0] = np.where(known, precision[..., 1], 0)
-    slack = full @ np.linalg.inv(np.eye(2) + CHOICE.slack_px**2 * full)
-    return np.stack((slack[..., 0, 0], slack[..., 0, 1], slack[..., 1, 1]), axis=-1)
-
-
-def distance_px(precision: Numbers, off: Numbers) -> Numbers:
-    """Return the lengths of offsets [..., 2] in the directions that precisions (xx, xy, yy) determine."""
-    xx, xy, yy = np.moveaxis(precision, -1, 0)
-    strongest = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
-    weighted = xx * off[..., 0] ** 2 + 2 * xy * off[..., 0] * off[..., 1] + yy * off[..., 1] ** 2
-    return np.sqrt(np.maximum(weighted, 0) / np.maximum(strongest, 1e-30))
+    xx, xy, yy = np.moveaxis(np.where(known[..., None], precision, 0), -1, 0)
+    variance = CHOICE.slack_px**2
+    both = variance * (xx * yy - xy**2)
+    determinant = 1 + variance * (xx + yy + both)
+    return np.stack((xx + both, xy, yy + both), axis=-1) / determinant[..., None]

@@ -6,8 +6,9 @@ common is estimated along the way.
 
 from __future__ import annotations
 
-import heapq
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,15 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.numerics.jit import lean_kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.reconstruct.pose_graph.amg_solver import System, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
-from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph, Ints, distance_px
+from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph, Ints
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags
 
 RELAXED_PX = (6.0, 2.0, 1.0)
 """Residuals at which overlaps have lost three quarters of their weight, when all fields are moved together, px."""
+RELAXED_TOLERANCE = 1e-4
+"""Relative error of these motions in very large grids, which are not solved directly."""
 N_SHARED = 6
 """Number of shared errors of the stage: offset along x and y, scale, turn, backlash of rows and of columns."""
 N_UNSETTLED = 4
@@ -33,7 +37,7 @@ class Placing:
 
     stage, place: [n, 2]; placed, fixed: masks; odds: log odds of a place against any other, [n]; shared_by: effect of
     the shared errors on a field, [n, 2, m]; shared, shared_covariance: what is known of them; scatter: of the stage
-    along x and y about these; knows_scatter: whether it was given.
+    along x and y about these, and usual_scatter beforehand; knows_scatter: whether it was given.
     """
 
     graph: CandidateGraph
@@ -46,6 +50,7 @@ class Placing:
     shared: Numbers
     shared_covariance: Numbers
     scatter: Numbers
+    usual_scatter: float
     knows_scatter: bool = False
 
     @classmethod
@@ -56,7 +61,7 @@ class Placing:
         place = stage.copy()
         if start is not None:
             place[is_fixed] = start[is_fixed]
-        sigma = _shared_sigma(N_UNSETTLED)
+        sigma, usual = _shared_sigma(N_UNSETTLED), _usual_scatter(graph, n)
         return cls(
             graph,
             stage,
@@ -67,7 +72,8 @@ class Placing:
             _shared_by(stage),
             np.zeros(N_SHARED),
             np.diag(sigma**2),
-            np.full(2, _usual_scatter(graph, n)),
+            np.full(2, usual),
+            usual,
         )
 
     def grow(self, out: float) -> None:
@@ -81,22 +87,15 @@ class Placing:
         for seed in seeds:
             self.placed[seed] = True
             self.odds[seed] = np.inf
-        heap: list[tuple[float, int]] = []
-        version = np.zeros(n)
+        heap, at = _Heap.of(graph, n), self._surroundings()
         for field in np.flatnonzero(self.placed).tolist():
-            self._push_neighbours(heap, field, version)
-        n_refit, n_placed = 4, int(self.placed.sum())
-        while heap:
-            known, field = heapq.heappop(heap)
-            if self.placed[field] or -known != version[field]:
-                continue
-            self._put(field)
-            self.placed[field] = True
-            n_placed += 1
-            if n_placed >= n_refit:
-                self._refit(N_UNSETTLED, with_scatter=False)
-                n_refit = int(1.25 * n_placed) + 1
-            self._push_neighbours(heap, field, version)
+            _push_neighbours(heap, field, at)
+        n_placed, n_refit = int(self.placed.sum()), 4
+        while (last := _grow(heap, at, max(1, n_refit - n_placed))) >= 0:
+            n_placed = max(n_placed + 1, n_refit)
+            self._refit(N_UNSETTLED, with_scatter=False)
+            n_refit, at = int(1.25 * n_placed) + 1, self._surroundings()
+            _push_neighbours(heap, last, at)
 
     def _seeds(self, component: NDArray[np.int32], out: float) -> list[int]:
         """Return a field of each connected set of fields without a fixed one, the most central or further out."""
@@ -113,15 +112,6 @@ class Placing:
         _, first, count = np.unique(component[order], return_index=True, return_counts=True)
         return [int(n) for n in order[first + (out * (count - 1)).astype(np.intp)]]
 
-    def _push_neighbours(self, heap: list[tuple[float, int]], field: int, version: Numbers) -> None:
-        graph = self.graph
-        for edge in graph.edges[graph.ends[field] : graph.ends[field + 1]]:
-            other = int(graph.first[edge] + graph.second[edge] - field)
-            if not self.placed[other]:
-                _, odds = self._best(other)
-                version[other] = odds
-                heapq.heappush(heap, (-odds, other))
-
     def sweep(self) -> None:
         """Place all fields again, with the scatter of the stage and its backlash, until none moves."""
         movable = np.flatnonzero(self.placed & ~self.fixed & (np.diff(self.graph.ends) > 0))
@@ -131,8 +121,7 @@ class Placing:
             self._refit(N_UNSETTLED if n == 0 else N_SHARED, with_scatter=True)
             before = self.place.copy()
             self._relax()
-            for field in movable.tolist():
-                self._put(field)
+            _put_each(movable, self._surroundings())
             if n > 1 and np.abs(self.place - before).max(initial=0) < CHOICE.near_px / 2:
                 break
 
@@ -159,46 +148,32 @@ class Placing:
         expected = self.stage + self.shared_by @ self.shared
         for scale_px in RELAXED_PX:
             moved = self.place - self.stage
-            off = (moved[b] - moved[a])[:, None] - graph.offset[used]
-            distance = np.where(np.isfinite(graph.misfit[used]), distance_px(graph.precision[used], off), np.inf)
-            pick = np.argmin(distance, axis=1)
-            rows = np.arange(len(used))
-            weight = 1 / (1 + (distance[rows, pick] / scale_px) ** 2) ** 2
+            off = moved[b] - moved[a]
+            pick, distance = np.zeros(len(used), np.int64), np.zeros(len(used))
+            _nearest(used, off, graph.offset, graph.precision, graph.misfit, pick, distance)
+            weight = 1 / (1 + (distance / scale_px) ** 2) ** 2
             precision = weight[:, None] * graph.precision[used, pick]
+            prior = (self.place - expected) / self.scatter**2
             self.place[free] += _joint_step(
-                (a, b), precision, off[rows, pick], (self.place - expected) / self.scatter**2, self.scatter, free
+                (a, b), precision, off - graph.offset[used, pick], prior, self.scatter, free, self.stage
             )
 
-    def _put(self, field: int) -> None:
-        self.place[field], self.odds[field] = self._best(field)
-
-    def _best(self, field: int) -> tuple[Numbers, float]:
-        """Return the best place of a field, by its placed neighbours and the stage, and its log odds."""
-        graph, by = self.graph, self.shared_by[field][:, : len(self.shared_covariance)]
-        expected = self.stage[field] + self.shared_by[field] @ self.shared
-        covariance = np.diag(self.scatter**2) + by @ self.shared_covariance @ by.T
-        edges = graph.edges[graph.ends[field] : graph.ends[field + 1]]
-        n_proposals, found = edges.size * graph.misfit.shape[1] + 1, np.zeros(3)
-        _place(
-            field,
-            edges,
-            graph.first,
-            graph.second,
-            graph.offset,
-            graph.precision,
-            graph.misfit,
-            self.stage,
-            self.place,
-            self.placed,
-            expected,
-            np.linalg.inv(covariance),
-            CHOICE.most_overlap_nats,
-            CHOICE.near_px,
-            np.empty((n_proposals, 3)),
-            np.empty((n_proposals, edges.size), np.int64),
-            found,
+    def _surroundings(self) -> _Surroundings:
+        graph, by = self.graph, self.shared_by[:, :, : len(self.shared_covariance)]
+        covariance = np.diag(self.scatter**2) + by @ self.shared_covariance @ np.swapaxes(by, 1, 2)
+        most_edges = int(np.diff(graph.ends).max(initial=0))
+        n_proposals = most_edges * graph.misfit.shape[1] + 1
+        return _Surroundings(
+            *(graph.ends, graph.edges, graph.first, graph.second, graph.offset, graph.precision, graph.misfit),
+            *(self.stage, self.place, self.placed, self.odds),
+            expected=self.stage + self.shared_by @ self.shared,
+            prior=np.linalg.inv(covariance),
+            most_cost=CHOICE.most_overlap_nats,
+            near=CHOICE.near_px,
+            proposals=np.empty((n_proposals, 3)),
+            picks=np.empty((n_proposals, most_edges), np.int64),
+            found=np.zeros(3),
         )
-        return found[:2], float(found[2])
 
     def _refit(self, n_shared: int, with_scatter: bool) -> None:
         """Estimate the shared errors of the stage, and its scatter, from the placed fields."""
@@ -221,8 +196,8 @@ class Placing:
     def _scatter_of(self, rest: Numbers, freedom: float) -> Numbers:
         """Return the scatter of the stage from what its shared errors leave, with that expected beforehand."""
         found = MAD_TO_SIGMA * np.median(np.abs(rest), axis=0) * np.sqrt(len(rest) / freedom)
-        usual = _usual_scatter(self.graph, len(self.stage))
-        both = np.sqrt((freedom * found**2 + CHOICE.usually * usual**2) / (freedom + CHOICE.usually))
+        usual = CHOICE.usually * self.usual_scatter**2
+        both = np.sqrt((freedom * found**2 + usual) / (freedom + CHOICE.usually))
         return np.maximum(both, CHOICE.least_scatter_px)
 
 
@@ -260,14 +235,19 @@ def _parity(along: Numbers) -> Numbers:
 
 
 def _joint_step(
-    ends: tuple[Ints, Ints], precision: Numbers, off: Numbers, prior: Numbers, scatter: Numbers, free: Flags
+    ends: tuple[Ints, Ints],
+    precision: Numbers,
+    off: Numbers,
+    prior: Numbers,
+    scatter: Numbers,
+    free: Flags,
+    stage: Numbers,
 ) -> Numbers:
     """Return the step [free, 2] to the least squares of overlaps and the stage.
 
     off: [e, 2], difference of the places of both ends less the measured one; prior: gradient of the stage's, [n, 2].
     """
-    from scipy.sparse import coo_array, csc_array
-    from scipy.sparse.linalg import spsolve
+    from scipy.sparse import coo_array, csr_array
 
     n, (a, b) = len(free), ends
     xx, xy, yy = precision.T
@@ -283,8 +263,10 @@ def _joint_step(
             values.append(sign * value)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
     both = np.repeat(free, 2)
-    matrix = csc_array(coo_array(entries, (2 * n, 2 * n)))[both][:, both]
-    return -np.asarray(spsolve(csc_array(matrix), gradient[free].ravel())).reshape(-1, 2)
+    matrix = csr_array(coo_array(entries, (2 * n, 2 * n)))[both][:, both]
+    system = System(matrix.tobsr((2, 2)), np.zeros((matrix.shape[0], 0)), np.zeros((0, 0)))
+    step = prepare(system, *stage[free].T).solve(gradient[free].reshape(-1, 1), RELAXED_TOLERANCE)
+    return -step.reshape(-1, 2)
 
 
 @lean_kernel
@@ -366,3 +348,171 @@ def _place(
         if differs and far and proposals[p, 2] < rival:
             rival = proposals[p, 2]
     found[0], found[1], found[2] = proposals[best, 0], proposals[best, 1], rival - proposals[best, 2]
+
+
+@lean_kernel
+def _nearest(
+    used: Ints, off: Numbers, offset: Numbers, precision: Numbers, misfit: Numbers, pick: Ints, distance: Numbers
+) -> None:
+    """Find the candidate next to an offset [u, 2] of each used overlap, and its distance in determined directions."""
+    for n in range(used.size):
+        e = used[n]
+        distance[n] = np.inf
+        for k in range(misfit.shape[1]):
+            if misfit[e, k] < 1e6:
+                x, y = off[n, 0] - offset[e, k, 0], off[n, 1] - offset[e, k, 1]
+                xx, xy, yy = precision[e, k, 0], precision[e, k, 1], precision[e, k, 2]
+                strongest = (xx + yy) / 2 + math.sqrt(((xx - yy) / 2) ** 2 + xy**2)
+                far = max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / max(strongest, 1e-30)
+                if far < distance[n]:
+                    pick[n], distance[n] = k, far
+        distance[n] = math.sqrt(distance[n])
+
+
+class _Heap(NamedTuple):
+    """Fields to be placed, the surest first: cost (minus the log odds) and field of each entry, and their number.
+
+    latest: cost of the last entry of each field; earlier ones do not count.
+    """
+
+    cost: Numbers
+    field: Ints
+    size: Ints
+    latest: Numbers
+
+    @classmethod
+    def of(cls, graph: CandidateGraph, n: int) -> _Heap:
+        """Return an empty heap: each field is entered once for each of its overlaps at most."""
+        room = len(graph.edges) + 1
+        return cls(np.empty(room), np.empty(room, np.int64), np.zeros(1, np.int64), np.zeros(n))
+
+
+class _Surroundings(NamedTuple):
+    """What the place of a field depends on: `CandidateGraph`, `Placing`, and room for `_place`, with their letters.
+
+    expected, prior: place by the stage and its inverse covariance, [n, 2] and [n, 2, 2].
+    """
+
+    ends: Ints
+    edges: Ints
+    first: Ints
+    second: Ints
+    offset: Numbers
+    precision: Numbers
+    misfit: Numbers
+    stage: Numbers
+    place: Numbers
+    placed: Flags
+    odds: Numbers
+    expected: Numbers
+    prior: Numbers
+    most_cost: float
+    near: float
+    proposals: Numbers
+    picks: Ints
+    found: Numbers
+
+
+@lean_kernel
+def _put_each(fields: Ints, at: _Surroundings) -> None:
+    """Put each field to its best place, one after the other."""
+    for field in fields:
+        _put(field, at)
+
+
+@lean_kernel
+def _grow(heap: _Heap, at: _Surroundings, limit: int) -> int:
+    """Place up to `limit` fields, the surest next; return the last one, or -1 where no field is left.
+
+    Its neighbours are not in the heap yet.
+    """
+    n_placed = 0
+    while True:
+        field = _popped(heap, at.placed)
+        if field < 0:
+            return -1
+        _put(field, at)
+        at.placed[field] = True
+        n_placed += 1
+        if n_placed == limit:
+            return field
+        _push_neighbours(heap, field, at)
+
+
+@lean_kernel
+def _push_neighbours(heap: _Heap, field: int, at: _Surroundings) -> None:
+    for edge in at.edges[at.ends[field] : at.ends[field + 1]]:
+        other = at.first[edge] + at.second[edge] - field
+        if not at.placed[other]:
+            _look(other, at)
+            heap.latest[other] = -at.found[2]
+            _push(heap, -at.found[2], other)
+
+
+@lean_kernel
+def _push(heap: _Heap, cost: float, field: int) -> None:
+    at = heap.size[0]
+    heap.size[0] += 1
+    while at > 0:
+        up = (at - 1) // 2
+        if heap.cost[up] < cost or (heap.cost[up] == cost and heap.field[up] <= field):
+            break
+        heap.cost[at], heap.field[at] = heap.cost[up], heap.field[up]
+        at = up
+    heap.cost[at], heap.field[at] = cost, field
+
+
+@lean_kernel
+def _popped(heap: _Heap, placed: Flags) -> int:
+    """Take the cheapest entry that is the last one of a field without a place; return this field, or -1."""
+    while heap.size[0] > 0:
+        top_cost, top_field = heap.cost[0], heap.field[0]
+        heap.size[0] -= 1
+        n, at = heap.size[0], 0
+        cost, field = heap.cost[n], heap.field[n]
+        while 2 * at + 1 < n:
+            below = 2 * at + 1
+            if below + 1 < n and _is_before(heap, below + 1, heap.cost[below], heap.field[below]):
+                below += 1
+            if not _is_before(heap, below, cost, field):
+                break
+            heap.cost[at], heap.field[at] = heap.cost[below], heap.field[below]
+            at = below
+        heap.cost[at], heap.field[at] = cost, field
+        if not placed[top_field] and top_cost == heap.latest[top_field]:
+            return top_field
+    return -1
+
+
+@lean_kernel
+def _is_before(heap: _Heap, at: int, cost: float, field: int) -> bool:
+    return heap.cost[at] < cost or (heap.cost[at] == cost and heap.field[at] < field)
+
+
+@lean_kernel
+def _put(field: int, at: _Surroundings) -> None:
+    _look(field, at)
+    at.place[field, 0], at.place[field, 1], at.odds[field] = at.found[0], at.found[1], at.found[2]
+
+
+@lean_kernel
+def _look(field: int, at: _Surroundings) -> None:
+    _place(
+        field,
+        at.edges[at.ends[field] : at.ends[field + 1]],
+        at.first,
+        at.second,
+        at.offset,
+        at.precision,
+        at.misfit,
+        at.stage,
+        at.place,
+        at.placed,
+        at.expected[field],
+        at.prior[field],
+        at.most_cost,
+        at.near,
+        at.proposals,
+        at.picks,
+        at.found,
+    )
