@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter
 
-from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align, block_sums, taps
+from wafer_viewer.numerics.block_gradients import block_sums, taps
+from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align
 
 SHAPE = 160, 90
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts
-from wafer_viewer.numerics.subpixel_registration import LOOSE_PX
+from wafer_viewer.numerics.block_gradients import LOOSE_PX
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import arbitrate_bridges, groups
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
 from wafer_viewer.reconstruct.pose_graph.robust_solver import (

@@ -1,0 +1,458 @@
+"""Products of two pictures at a lag, summed over blocks, and the gradients of their misfit in each block.
+
+Between its pixels a picture is interpolated by a Gaussian wide enough for equal noise at every position. A narrower
+kernel would bias a fit towards the middle between pixels, where noise is smoothed most.
+
+The covariance of a lag comes from the scatter of the block gradients (the sandwich of P. J. Huber, 1967): noise shared
+by neighbouring pixels, or pictures that differ slightly, increase it as they should.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.jit import Float32s, Float64s, Int64s, bare_kernel, lean_kernel, lean_part
+
+Numbers = NDArray[np.float64]
+REACH = 3
+"""Half width of the interpolation kernel in pixels."""
+N_LINES = 6
+"""Number of quantities multiplied in pairs along a row: 1, row, both values, slope down, slope right."""
+N_PRODUCTS = 21
+"""Number of different products of two of them."""
+N_SHADING = 3
+"""Number of terms of the brightness of a block: 1, row and column."""
+_SIGMA_PX = 0.85
+"""Standard deviation of the Gaussian interpolation kernel, wide enough for equal noise at every position, px."""
+
+
+LOOSE_PX = 1000.0
+"""Standard uncertainty of a lag along lines, where nothing determines it."""
+
+
+def taps(part: float) -> Float32s:
+    """Return the weights of value and slope at a position `part` (-0.5 ... 0.5) from the middle of 7 pixels, [2, 7]."""
+    out = np.empty((2, 2 * REACH + 1), np.float32)
+    _fill_taps(part, out)
+    return out
+
+
+@lean_kernel
+def _fill_taps(part: float, out: Float32s) -> None:
+    total = moment = square = 0.0
+    for k in range(2 * REACH + 1):
+        away = k - REACH - part
+        value = math.exp(-((away / _SIGMA_PX) ** 2) / 2)
+        total, moment, square = total + value, moment + value * away, square + value * away * away
+    mean = moment / total
+    for k in range(2 * REACH + 1):
+        away = k - REACH - part
+        value = math.exp(-((away / _SIGMA_PX) ** 2) / 2) / total
+        out[0, k], out[1, k] = value, value * (away - mean) / (square / total - mean * mean)
+
+
+def block_sums(
+    first: Float32s,
+    first_valid: Float32s,
+    second: Float32s,
+    second_valid: Float32s,
+    lag: tuple[float, float],
+    side: int,
+) -> NDArray[np.float64]:
+    """Return the block sums of all products of (1, row, col, first, second, slope down, slope right).
+
+    float64 [block row, block col, 7, 7], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
+    with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Rows and
+    columns are counted from the middle of a block, in its sides. Pixels unknown in either (valid: 1 or 0) and a rim of
+    3 do not count. Empty without common pixels.
+    """
+    spans = [_span(a, b, n) for a, b, n in zip(first.shape, second.shape, lag, strict=True)]
+    n_rows, n_cols = (stop - start for start, stop, _ in spans)
+    if n_rows <= 0 or n_cols <= 0:
+        return np.zeros((0, 0, N_LINES + 1, N_LINES + 1))
+    corner = np.array([spans[0][0], spans[1][0], spans[0][0] - spans[0][2], spans[1][0] - spans[1][2]], np.int64)
+    parts = [round(n) - n for n in lag]
+    weights = np.empty((3, 2, 2 * REACH + 1), np.float32)
+    for part, of_lag in zip((0.0, *parts), weights, strict=True):
+        _fill_taps(part, of_lag)
+    n_bands = max(1, n_rows // side)
+    sums = np.zeros((n_bands, N_PRODUCTS, n_cols), np.float32)
+    lines = np.zeros((N_LINES + 2, n_cols + 2 * REACH), np.float32)
+    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
+    out = np.zeros((n_bands, max(1, n_cols // side), N_LINES + 1, N_LINES + 1))
+    _to_blocks(sums, out)
+    return out
+
+
+def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
+    """Return the range of the first's pixels with all neighbours in both, and the integer part of the lag."""
+    nearest = round(lag)
+    return max(0, nearest) + REACH, min(first, nearest + second) - REACH, nearest
+
+
+@bare_kernel
+def _to_blocks(sums: Float32s, out: Float64s) -> None:
+    """Convert sums over the rows of a band, [band, product, col], to symmetric matrices with a line for the column."""
+    n_cols, n_blocks = sums.shape[2], out.shape[1]
+    for band in range(sums.shape[0]):
+        for block in range(n_blocks):
+            start, stop, matrix = block * n_cols // n_blocks, (block + 1) * n_cols // n_blocks, out[band, block]
+            n = 0
+            for i in range(N_LINES):
+                for j in range(i, N_LINES):
+                    a, b = i + (i > 1), j + (j > 1)
+                    matrix[a, b] = matrix[b, a] = _total(sums[band, n, start:stop])
+                    n += 1
+            for j in range(N_LINES):
+                b = j + (j > 1)
+                matrix[2, b] = matrix[b, 2] = _moment(sums[band, j], start, stop, n_blocks, 1)
+            matrix[2, 2] = _moment(sums[band, 0], start, stop, n_blocks, 2)
+
+
+@bare_kernel
+def _total(row: Float32s) -> float:
+    total = 0.0
+    for x in range(row.size):
+        total += row[x]
+    return total
+
+
+@bare_kernel
+def _moment(row: Float32s, start: int, stop: int, n_blocks: int, power: int) -> float:
+    total, n_cols = 0.0, row.size
+    for x in range(start, stop):
+        col = (x * n_blocks % n_cols) / n_cols - 0.5
+        total += row[x] * col if power == 1 else row[x] * col * col
+    return total
+
+
+@lean_kernel
+def _sum(
+    first: Float32s,
+    first_valid: Float32s,
+    second: Float32s,
+    second_valid: Float32s,
+    corner: Int64s,
+    weights: Float32s,
+    n_rows: int,
+    lines: Float32s,
+    sums: Float32s,
+) -> None:
+    n_bands, n_cols = sums.shape[0], sums.shape[2]
+    left, other_left = corner[1], corner[3]
+    valid, place, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
+    smooth, slope = lines[6], lines[7]
+    for r in range(n_rows):
+        row, other = corner[0] + r, corner[2] + r
+        _weigh(first, row, left, weights[0, 0], smooth)
+        _along(smooth, weights[0, 0], a)
+        _weigh(second, other, other_left, weights[1, 0], smooth)
+        _weigh(second, other, other_left, weights[1, 1], slope)
+        _along(smooth, weights[2, 0], b)
+        _along(slope, weights[2, 0], down)
+        _along(smooth, weights[2, 1], right)
+        _multiply(first_valid[row, left:], second_valid[other, other_left:], valid[:n_cols])
+        _apply_mask(valid[:n_cols], np.float32(r * n_bands % n_rows / n_rows - 0.5), place, a, b, down, right)
+        band = sums[r * n_bands // n_rows]
+        n = 0
+        for i in range(N_LINES):
+            for j in range(i, N_LINES):
+                _add_product(lines[i], lines[j], band[n])
+                n += 1
+
+
+@lean_part
+def _weigh(picture: Float32s, row: int, left: int, weights: Float32s, out: Float32s) -> None:
+    """Interpolate one row between the rows of a picture."""
+    w0, w1, w2, w3, w4, w5, w6 = weights
+    start = left - 3
+    a, b, c = picture[row - 3, start:], picture[row - 2, start:], picture[row - 1, start:]
+    d, e, f, g = picture[row, start:], picture[row + 1, start:], picture[row + 2, start:], picture[row + 3, start:]
+    for x in range(out.size):
+        out[x] = w0 * a[x] + w1 * b[x] + w2 * c[x] + w3 * d[x] + w4 * e[x] + w5 * f[x] + w6 * g[x]
+
+
+@lean_part
+def _along(row: Float32s, weights: Float32s, out: Float32s) -> None:
+    w0, w1, w2, w3, w4, w5, w6 = weights
+    for x in range(out.size - 6):
+        out[x] = (
+            w0 * row[x] + w1 * row[x + 1] + w2 * row[x + 2] + w3 * row[x + 3] + w4 * row[x + 4] + w5 * row[x + 5]
+        ) + w6 * row[x + 6]
+
+
+@lean_part
+def _multiply(first: Float32s, second: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] = first[x] * second[x]
+
+
+@lean_part
+def _apply_mask(
+    valid: Float32s, row: np.float32, place: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s
+) -> None:
+    for x in range(valid.size):
+        place[x] = row * valid[x]
+        a[x], b[x], down[x], right[x] = a[x] * valid[x], b[x] * valid[x], down[x] * valid[x], right[x] * valid[x]
+
+
+@lean_part
+def _add_product(first: Float32s, second: Float32s, total: Float32s) -> None:
+    for x in range(total.size):
+        total[x] += first[x] * second[x]
+
+
+_AREAS = (4, 8)
+"""Sides of the areas, in blocks, over which errors may be correlated."""
+_SHOWS = 3.0
+"""Variance of a block with signal, relative to that of the noise left after smoothing."""
+_SMOOTHED = 0.33
+"""Noise left after smoothing, relative to that of a pixel."""
+_SOLID = 1e-9
+"""Part of the trace that keeps the shading of a block solvable whose known pixels lie in one line."""
+_LEAST_BLOCKS = 4
+"""Smallest number of blocks for a covariance."""
+_LEAST_BLOCKS_BENT = 8
+"""Smallest number of blocks for a shift that varies across them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockGradients:
+    """Statistics of the blocks, all [n block].
+
+    index: [n, 2]; place: [n, 2] in -1 ... 1; pixels: number; first, second, both: variances and covariance of the two
+    pictures; pull [n, 2] and stiffness [n, 2, 2]: gradient and Hessian of the lag; trust: weight of a block's slopes in
+    the Hessian.
+    """
+
+    index: Int64s
+    place: Numbers
+    pixels: Numbers
+    first: Numbers
+    second: Numbers
+    both: Numbers
+    pull: Numbers
+    stiffness: Numbers
+    trust: Numbers
+
+
+def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_filled: float) -> BlockGradients:
+    """Return the block gradients with a separate brightness and contrast per block, so only a shift remains.
+
+    The brightness has a slope along both axes: light that falls off to the corners of a field differs between the two
+    pictures of an overlap. The contrast is that of a regression, which noise (standard deviation of a pixel of the
+    second picture) reduces, less this reduction where it is under a half: too small a contrast would move an edge that
+    lies across the border. Blocks with fewer known pixels than given, or than this fraction of the fullest, are
+    omitted. The sums are overwritten.
+    """
+    n = sums.shape[0] * sums.shape[1]
+    index, table, room = np.empty((n, 2), np.int64), np.empty((n, 13)), np.empty((3, n))
+    n = _fill_gradients(sums, noise, least_pixels, least_filled, index, table, room)
+    t = table[:n]
+    pixels, first, second, both = t[:, 2], t[:, 3], t[:, 4], t[:, 5]
+    return BlockGradients(
+        index[:n], t[:, :2], pixels, first, second, both, t[:, 6:8], t[:, 8:12].reshape(n, 2, 2), t[:, 12]
+    )
+
+
+@lean_kernel
+def _fill_gradients(
+    sums: Float64s,
+    noise: float,
+    least_pixels: float,
+    least_filled: float,
+    index: Int64s,
+    table: Float64s,
+    room: Float64s,
+) -> int:
+    """Fill rows (place, pixels, first, second, both, pull, stiffness, trust) of the blocks, and return their number."""
+    n_rows, n_cols = sums.shape[0], sums.shape[1]
+    fullest = 0.0
+    for r in range(n_rows):
+        for c in range(n_cols):
+            fullest = max(fullest, sums[r, c, 0, 0])
+    weight, gains, n = room[0], room[1], 0
+    for r in range(n_rows):
+        for c in range(n_cols):
+            pixels = sums[r, c, 0, 0]
+            if pixels > max(least_filled * fullest, least_pixels):
+                _without_shading(sums[r, c])
+                s = sums[r, c, N_SHADING:, N_SHADING:]
+                first, second, both = max(s[0, 0], 0.0), max(s[1, 1], 0.0), max(s[0, 1], 0.0)
+                strength, of_noise = max(second, 1e-9 * pixels), pixels * (_SMOOTHED * noise) ** 2
+                regressed = both / strength
+                gain = both / (strength - (of_noise if of_noise < strength / 2 else 0.0))
+                weight[n] = pixels / max(first - regressed * both, 1e-9 * pixels)
+                gains[n] = gain
+                index[n, 0], index[n, 1] = r, c
+                row = table[n]
+                row[0], row[1] = 2 * (r + 0.5) / n_rows - 1, 2 * (c + 0.5) / n_cols - 1
+                row[2], row[3], row[4], row[5] = pixels, first, second, s[0, 1]
+                row[6], row[7] = gain * s[1, 2] - s[0, 2], gain * s[1, 3] - s[0, 3]
+                row[8], row[9], row[10], row[11] = s[2, 2], s[2, 3], s[3, 2], s[3, 3]
+                row[12] = regressed
+                n += 1
+    usual = _median(weight[:n], room[2])
+    for k in range(n):
+        row = table[k]
+        trust = weight[k] / (1 + weight[k] / (4 * usual)) * row[12] ** 2
+        per_gain = trust / gains[k] if gains[k] > 0 else 0.0
+        row[6], row[7], row[12] = row[6] * per_gain, row[7] * per_gain, trust
+        for j in range(8, 12):
+            row[j] *= trust
+    return n
+
+
+@lean_kernel
+def _without_shading(matrix: Float64s) -> None:
+    """Take what 1, row and column explain of a block off the products of values and slopes."""
+    solid = _SOLID * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
+    matrix[1, 1] += solid
+    matrix[2, 2] += solid
+    for i in range(N_SHADING):
+        pivot = max(matrix[i, i], solid)
+        for j in range(i + 1, N_LINES + 1):
+            part = matrix[i, j] / pivot
+            for k in range(j, N_LINES + 1):
+                matrix[j, k] -= part * matrix[i, k]
+                matrix[k, j] = matrix[j, k]
+
+
+@lean_kernel
+def _median(values: Float64s, room: Float64s) -> float:
+    n = values.size
+    if n == 0:
+        return 1.0
+    ordered = room[:n]
+    for i in range(n):
+        ordered[i] = values[i]
+    gap = n // 2
+    while gap > 0:
+        for i in range(gap, n):
+            value, j = ordered[i], i
+            while j >= gap and ordered[j - gap] > value:
+                ordered[j] = ordered[j - gap]
+                j -= gap
+            ordered[j] = value
+        gap //= 2
+    return (ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+
+
+def correlation(blocks: BlockGradients) -> float:
+    """Return the correlation within blocks, -1 ... 1."""
+    energy = float(blocks.first.sum() * blocks.second.sum())
+    return float(blocks.both.sum()) / energy**0.5 if energy > 0 else 0.0
+
+
+def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Numbers:
+    """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian.
+
+    held: unit vectors of the determined directions, [2, k]; `LOOSE_PX` is the standard uncertainty in the other.
+    """
+    n, pull, stiffness = len(blocks.pixels), blocks.pull @ held, held.T @ stiffness @ held
+    diagonal = np.diag(stiffness)
+    if n < _LEAST_BLOCKS or not (diagonal > 0).all() or np.linalg.det(stiffness) <= 1e-9 * np.prod(diagonal):
+        return np.full((2, 2), np.inf)
+    spread = pull.T @ pull * (n / (n - 2))
+    inverse = np.linalg.inv(stiffness)
+    more = np.sqrt(np.maximum(1.0, _correlated(pull, blocks.index) / np.maximum(np.diag(spread), 1e-30)))
+    known = held @ inverse @ (spread * np.outer(more, more)) @ inverse @ held.T
+    return np.asarray(known + LOOSE_PX**2 * (np.eye(2) - held @ held.T), np.float64)
+
+
+def _correlated(pull: Numbers, index: Int64s) -> Numbers:
+    """Return the sum of the squares of the gradients, [k], with errors that neighbouring blocks have in common.
+
+    Along rows and columns, as at a straight edge (A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29
+    (2011) 238), or in areas of a picture that come from different frames, whichever is more.
+    """
+    n_rows, n_cols = index.max(axis=0) + 1
+    room, out = np.zeros((n_rows * n_cols, 3)), np.zeros((4, pull.shape[1]))
+    for sides, of_cluster in zip(((1, n_cols), (n_rows, 1), *((side, side) for side in _AREAS)), out, strict=True):
+        _fill_spread(pull, index, *sides, room, of_cluster)
+    return np.maximum(out[0] + out[1] - np.einsum("bk,bk->k", pull, pull), out[2:].max(axis=0))
+
+
+@lean_kernel
+def _fill_spread(pull: Float64s, index: Int64s, n_rows: int, n_cols: int, room: Float64s, out: Float64s) -> None:
+    """Sum up the squares of the sums over clusters of n_rows x n_cols blocks."""
+    across, k = room.shape[0], pull.shape[1]
+    widest = 0
+    for b in range(index.shape[0]):
+        widest = max(widest, index[b, 1] // n_cols)
+    for cluster in range(across):
+        room[cluster] = 0.0
+    for b in range(index.shape[0]):
+        cluster = index[b, 0] // n_rows * (widest + 1) + index[b, 1] // n_cols
+        room[cluster, 2] = 1.0
+        for j in range(k):
+            room[cluster, j] += pull[b, j]
+    n = 0.0
+    out[:] = 0.0
+    for cluster in range(across):
+        n += room[cluster, 2]
+        for j in range(k):
+            out[j] += room[cluster, j] ** 2
+    for j in range(k):
+        out[j] *= n / max(1.0, n - 1)
+
+
+def agreement_fraction(blocks: BlockGradients, noise: float) -> float:
+    """Return the fraction of the signal in blocks with at least half the correlation of the best ones.
+
+    A block of strong contrast has no more weight than others with a signal above noise.
+    """
+    strength = np.sqrt(blocks.first * blocks.second) / np.maximum(blocks.pixels, 1)
+    visible = blocks.pixels * strength**2 / (strength**2 + (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2 + 1e-30)
+    if not visible.sum() > 0:
+        return 0.0
+    correlation = blocks.both / np.maximum(strength * blocks.pixels, 1e-30)
+    best = correlation[np.argsort(visible)[len(visible) // 2 :]].max()
+    return float(visible[correlation > 0.5 * best].sum() / visible.sum())
+
+
+def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
+    """Return the deviation of lags at the ends from that in the middle, in pixels and in standard deviations.
+
+    Fits a lag that varies linearly across the blocks, for contents rotated or scaled against each other.
+    """
+    if len(blocks.pixels) < _LEAST_BLOCKS_BENT:
+        return 0.0, 0.0
+    sums, stiffness, spread = np.zeros(4), np.zeros((4, 4)), np.zeros((4, 4))
+    _fill_bend(blocks.place, blocks.pull, blocks.stiffness, np.zeros(4), sums, stiffness, spread)
+    inverse = np.linalg.inv(stiffness + (1e-6 * np.trace(stiffness) + 1e-30) * np.eye(4))
+    bend = inverse @ sums
+    _fill_bend(blocks.place, blocks.pull, blocks.stiffness, bend, sums, stiffness, spread)
+    spread = inverse @ spread @ inverse
+    most = int(np.argmax(np.abs(bend)))
+    return float(np.abs(bend[most])), float(np.abs(bend[most]) / np.sqrt(max(spread[most, most], 1e-30)))
+
+
+@lean_kernel
+def _fill_bend(
+    place: Float64s,
+    pull: Float64s,
+    stiffness: Float64s,
+    bend: Float64s,
+    sums: Float64s,
+    hessian: Float64s,
+    spread: Float64s,
+) -> None:
+    """Sum up gradient, Hessian and scatter of the gradient of a bend: change of the lag along rows and columns, [4]."""
+    sums[:], hessian[:], spread[:] = 0.0, 0.0, 0.0
+    for b in range(place.shape[0]):
+        rest0, rest1 = pull[b, 0], pull[b, 1]
+        for j in range(2):
+            down, right = place[b, j] * bend[2 * j], place[b, j] * bend[2 * j + 1]
+            rest0 -= stiffness[b, 0, 0] * down + stiffness[b, 0, 1] * right
+            rest1 -= stiffness[b, 1, 0] * down + stiffness[b, 1, 1] * right
+        for p in range(4):
+            of_p = place[b, p // 2] * (rest0 if p % 2 == 0 else rest1)
+            sums[p] += of_p
+            for q in range(4):
+                spread[p, q] += of_p * place[b, q // 2] * (rest0 if q % 2 == 0 else rest1)
+                hessian[p, q] += place[b, p // 2] * place[b, q // 2] * stiffness[b, p % 2, q % 2]
