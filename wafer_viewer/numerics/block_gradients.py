@@ -226,7 +226,7 @@ class BlockGradients:
 
     index: [n, 2]; place: [n, 2] in -1 ... 1; pixels: number; first, second, both: variances and covariance of the two
     pictures; pull [n, 2] and stiffness [n, 2, 2]: gradient and Hessian of the lag; trust: weight of a block's slopes in
-    the Hessian.
+    the Hessian. total_pull [2], total_stiffness [2, 2]: sums over the blocks.
     """
 
     index: Int64s
@@ -238,6 +238,8 @@ class BlockGradients:
     pull: Numbers
     stiffness: Numbers
     trust: Numbers
+    total_pull: Numbers
+    total_stiffness: Numbers
 
 
 def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_filled: float) -> BlockGradients:
@@ -250,12 +252,14 @@ def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_fill
     omitted. The sums are overwritten.
     """
     n = sums.shape[0] * sums.shape[1]
-    index, table, room = np.empty((n, 2), np.int64), np.empty((n, 13)), np.empty((3, n))
-    n = _fill_gradients(sums, noise, least_pixels, least_filled, index, table, room)
+    index, table, room, total = np.empty((n, 2), np.int64), np.empty((n, 13)), np.empty((3, n)), np.zeros(6)
+    n = _fill_gradients(sums, noise, least_pixels, least_filled, index, table, total, room)
     t = table[:n]
     pixels, first, second, both = t[:, 2], t[:, 3], t[:, 4], t[:, 5]
+    pull, stiffness, trust = t[:, 6:8], t[:, 8:12].reshape(n, 2, 2), t[:, 12]
+    total_stiffness = total[2:].reshape(2, 2)
     return BlockGradients(
-        index[:n], t[:, :2], pixels, first, second, both, t[:, 6:8], t[:, 8:12].reshape(n, 2, 2), t[:, 12]
+        index[:n], t[:, :2], pixels, first, second, both, pull, stiffness, trust, total[:2], total_stiffness
     )
 
 
@@ -267,6 +271,7 @@ def _fill_gradients(
     least_filled: float,
     index: Int64s,
     table: Float64s,
+    total: Float64s,
     room: Float64s,
 ) -> int:
     """Fill rows (place, pixels, first, second, both, pull, stiffness, trust) of the blocks, and return their number."""
@@ -304,6 +309,8 @@ def _fill_gradients(
         row[6], row[7], row[12] = row[6] * per_gain, row[7] * per_gain, trust
         for j in range(8, 12):
             row[j] *= trust
+        for j in range(6):
+            total[j] += row[6 + j]
     return n
 
 
@@ -353,15 +360,26 @@ def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Num
 
     held: unit vectors of the determined directions, [2, k]; `LOOSE_PX` is the standard uncertainty in the other.
     """
-    n, pull, stiffness = len(blocks.pixels), blocks.pull @ held, held.T @ stiffness @ held
-    diagonal = np.diag(stiffness)
-    if n < _LEAST_BLOCKS or not (diagonal > 0).all() or np.linalg.det(stiffness) <= 1e-9 * np.prod(diagonal):
+    n, pull = len(blocks.pixels), blocks.pull @ held
+    inverse = inverse_of(held.T @ stiffness @ held)
+    if n < _LEAST_BLOCKS or inverse is None:
         return np.full((2, 2), np.inf)
     spread = pull.T @ pull * (n / (n - 2))
-    inverse = np.linalg.inv(stiffness)
     more = np.sqrt(np.maximum(1.0, _correlated(pull, blocks.index) / np.maximum(np.diag(spread), 1e-30)))
-    known = held @ inverse @ (spread * np.outer(more, more)) @ inverse @ held.T
-    return np.asarray(known + LOOSE_PX**2 * (np.eye(2) - held @ held.T), np.float64)
+    by = held @ inverse * more
+    known = by @ spread @ by.T
+    return known if held.shape[1] == 2 else np.asarray(known + LOOSE_PX**2 * (np.eye(2) - held @ held.T), np.float64)
+
+
+def inverse_of(matrix: Numbers) -> Numbers | None:
+    """Return the inverse of a positive definite matrix, [1, 1] or [2, 2]; None where it is singular."""
+    if len(matrix) == 1:
+        return 1 / matrix if matrix[0, 0] > 0 else None
+    (a, b), (c, d) = matrix.tolist()
+    determinant = a * d - b * c
+    if not (a > 0 and d > 0 and determinant > 1e-9 * a * d):
+        return None
+    return np.array([[d, -b], [-c, a]]) / determinant
 
 
 def _correlated(pull: Numbers, index: Int64s) -> Numbers:
@@ -456,3 +474,31 @@ def _fill_bend(
             for q in range(4):
                 spread[p, q] += of_p * place[b, q // 2] * (rest0 if q % 2 == 0 else rest1)
                 hessian[p, q] += place[b, p // 2] * place[b, q // 2] * stiffness[b, p % 2, q % 2]
+
+
+def decreases(before: BlockGradients, after: BlockGradients, step: Numbers) -> tuple[float, float]:
+    """Return by how much the gradient decreased along a step, and by how much its Hessian says that it does.
+
+    Both gradients count with the weights after the step, which a better fit has changed.
+    """
+    out = np.zeros(2)
+    _fill_decreases(before.pull, before.stiffness, before.trust, after.pull, after.trust, step, out)
+    return float(out[0]), float(out[1])
+
+
+@lean_kernel
+def _fill_decreases(
+    pull: Float64s,
+    stiffness: Float64s,
+    trust: Float64s,
+    later_pull: Float64s,
+    later_trust: Float64s,
+    step: Float64s,
+    out: Float64s,
+) -> None:
+    down, right = step[0], step[1]
+    for b in range(trust.size):
+        weight = later_trust[b] / trust[b] if trust[b] > 0 else 0.0
+        out[0] += down * (weight * pull[b, 0] - later_pull[b, 0]) + right * (weight * pull[b, 1] - later_pull[b, 1])
+        s = stiffness[b]
+        out[1] += weight * (down * (s[0, 0] * down + s[0, 1] * right) + right * (s[1, 0] * down + s[1, 1] * right))

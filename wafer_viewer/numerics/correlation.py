@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.fourier import fast_length
+from wafer_viewer.numerics.normal_statistics import median
 
 _STEEPEST = 3.0
 """Contrast saturates at about three times its typical value, so that one bright spot does not dominate the overlap."""
@@ -45,7 +46,7 @@ def contrast(picture: NDArray[np.float32], valid: NDArray[np.bool_], size: int) 
 
     local = mean(picture, size) if valid.all() else mean_of_valid(picture, valid, size)
     detail = np.where(valid, picture - local, np.float32(0))
-    usual = _STEEPEST * float(np.median(np.abs(detail[valid][::3]))) if valid.any() else 0.0
+    usual = _STEEPEST * median(np.abs(detail[valid][::3])) if valid.any() else 0.0
     held: NDArray[np.float32] = np.sqrt(1 + (detail / np.float32(usual)) ** 2) if usual > 0 else np.ones_like(detail)
     return np.asarray(detail / held, np.float32)
 
@@ -66,12 +67,14 @@ def normalised_cross_correlation(
 
     shape = _transform_shape(first.shape, second.shape, lag, reach)
     size: list[int] = [scipy.fft.next_fast_len(n, real=True) or n for n in shape]
-    a: Any = scipy.fft.rfft2(_moments(first, first_valid), size)
-    b: Any = scipy.fft.rfft2(_moments(second, second_valid), size)
-    products = np.stack([a[0] * b[0].conj(), a[1] * b[2].conj(), a[2] * b[1].conj(), a[2] * b[2].conj()])
+    full = bool(first_valid.all() and second_valid.all())
+    a: Any = scipy.fft.rfft2(first[None] if full else _moments(first, first_valid), size)
+    b: Any = scipy.fft.rfft2(second[None] if full else _moments(second, second_valid), size)
+    products = a * b.conj() if full else _products(a, b.conj())
     sums: Any = scipy.fft.irfft2(products, size)
-    rows, cols = (np.arange(n - reach, n + reach + 1) % m for n, m in zip(lag, size, strict=True))
-    common, first_sums, second_sums, pixels = (s[np.ix_(rows, cols)].astype(np.float64) for s in sums)
+    rows, cols = (np.arange(n - reach, n + reach + 1) for n in lag)
+    common, *others = (s[np.ix_(rows % size[0], cols % size[1])].astype(np.float64) for s in sums)
+    first_sums, second_sums, pixels = _sums_of_rectangles(first, second, rows, cols) if full else others
     pixels = np.rint(pixels)
     energy = np.sqrt(np.maximum(first_sums, 0) * np.maximum(second_sums, 0))
     floor = _LEAST_ENERGY * float(energy.max(initial=0)) + 1e-12
@@ -87,6 +90,38 @@ def _transform_shape(
     """Return the smallest size without wrap-around at any lag within reach."""
     rows, cols = (max(a, a - n + reach, b, b + n + reach) for a, b, n in zip(first, second, lag, strict=True))
     return rows, cols
+
+
+def _products(first: Any, second: Any) -> Any:
+    return np.stack([first[0] * second[0], first[1] * second[2], first[2] * second[1], first[2] * second[2]])
+
+
+def _sums_of_rectangles(
+    first: NDArray[np.float32], second: NDArray[np.float32], rows: NDArray[np.intp], cols: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], ...]:
+    """Return the sums of squares of both pictures, and the pixels, in the common rectangle at each lag."""
+    (top, bottom), (left, right) = (
+        (begun := np.clip(lags, 0, n), np.maximum(begun, np.minimum(n, m + lags)))
+        for lags, n, m in zip((rows, cols), first.shape, second.shape, strict=True)
+    )
+    n_rows, n_cols = second.shape
+    of_second = (
+        [np.clip(row - rows, 0, n_rows) for row in (top, bottom)],
+        [np.clip(col - cols, 0, n_cols) for col in (left, right)],
+    )
+    pixels = np.outer(bottom - top, right - left).astype(np.float64)
+    return _sums_between(first, [top, bottom], [left, right]), _sums_between(second, *of_second), pixels
+
+
+def _sums_between(
+    picture: NDArray[np.float32], rows: list[NDArray[np.intp]], cols: list[NDArray[np.intp]]
+) -> NDArray[np.float64]:
+    """Return the sums of squares over all ranges of rows and cols, [row range, col range]."""
+    summed = np.zeros((picture.shape[0] + 1, picture.shape[1] + 1))
+    np.cumsum(np.square(picture, dtype=np.float64), axis=0, out=summed[1:, 1:])
+    np.cumsum(summed[1:, 1:], axis=1, out=summed[1:, 1:])
+    between = summed[rows[1]] - summed[rows[0]]
+    return between[:, cols[1]] - between[:, cols[0]]
 
 
 def _moments(picture: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:

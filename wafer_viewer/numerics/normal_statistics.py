@@ -15,6 +15,14 @@ TWO_SIGMA_QUANTILE = 0.97725
 """Probability of a normal variable below two standard deviations: both sides together leave 95.45 %."""
 
 
+def median(values: NDArray[np.floating]) -> float:
+    """Return the median of at least one value, none of them NaN: for few values a third of numpy's time."""
+    half = values.size // 2
+    ordered = np.partition(values.ravel(), half)
+    middle = float(ordered[half])
+    return middle if values.size % 2 else (middle + float(ordered[:half].max())) / 2
+
+
 def student(freedom: float) -> float:
     """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
     from scipy.special import stdtrit

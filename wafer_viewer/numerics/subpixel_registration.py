@@ -21,6 +21,7 @@ from wafer_viewer.numerics.block_gradients import (
     block_sums,
     correlation,
     covariance,
+    decreases,
     shift_gradient,
 )
 from wafer_viewer.numerics.jit import Float32s
@@ -166,7 +167,7 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         if np.abs(step).max() > ALIGNMENT.telling_px and surface.measured is None:
             ease = _hessian_fraction(before, pulls, step)
     surface = _Surface.of(first, second, lag, side, pulls, noise)
-    stiffness = pulls.stiffness.sum(axis=0)
+    stiffness = pulls.total_stiffness
     if surface.measured is not None:
         stiffness = surface.measured
     elif not roughly and not _is_clear(pulls, noise):
@@ -205,7 +206,7 @@ class _Surface:
 
         It does where the misfit really rises there, by more than that of a random picture may.
         """
-        weak, strong, along, across = _principal_axes(pulls.stiffness.sum(axis=0))
+        weak, strong, along, across = _principal_axes(pulls.total_stiffness)
         of_noise = _noise_stiffness(pulls, noise)
         doubtful = max(ALIGNMENT.loose_noise * of_noise, ALIGNMENT.loose_fraction * strong)
         if weak >= doubtful or max(weak - of_noise, 0) >= ALIGNMENT.anisotropic * (strong - of_noise):
@@ -219,10 +220,18 @@ class _Surface:
 
     def step(self, pulls: BlockGradients, ease: float) -> Numbers:
         """Return one Gauss-Newton step of at most a pixel, along the determined directions."""
-        stiffness = pulls.stiffness.sum(axis=0) * ease if self.measured is None else self.measured
-        stiffness = stiffness + (1e-6 * np.trace(stiffness) + 1e-30) * _BOTH
-        step = np.linalg.solve(self.held.T @ stiffness @ self.held, self.held.T @ pulls.pull.sum(axis=0))
-        return np.asarray(self.held @ step, np.float64).clip(-1, 1)
+        stiffness = pulls.total_stiffness * ease if self.measured is None else self.measured
+        (a, b), (c, d) = stiffness.tolist()
+        more = 1e-6 * (a + d) + 1e-30
+        matrix, pull = np.array([[a + more, b], [c, d + more]]), pulls.total_pull
+        if self.held.shape[1] == 1:
+            across = self.held[:, 0]
+            return _within_a_pixel(across * (float(across @ pull) / float(across @ matrix @ across)))
+        return _within_a_pixel(np.linalg.solve(matrix, pull))
+
+
+def _within_a_pixel(step: Numbers) -> Numbers:
+    return np.minimum(np.maximum(step, -1.0), 1.0)
 
 
 def _principal_axes(matrix: Numbers) -> tuple[float, float, Numbers, Numbers]:
@@ -239,21 +248,16 @@ def _noise_stiffness(pulls: BlockGradients, noise: float) -> float:
 
 
 def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
-    """Return the real fraction of the Hessian: slopes of the noise do not move with the picture.
-
-    Both gradients count with the weights after the step, which a better fit has changed.
-    """
+    """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
     if not np.array_equal(before.index, after.index):
         return 1.0
-    weight = np.divide(after.trust, before.trust, out=np.zeros_like(after.trust), where=before.trust > 0)
-    decrease = float(step @ (weight @ before.pull - after.pull.sum(axis=0)))
-    expected = float(step @ np.einsum("b,bij->ij", weight, before.stiffness) @ step)
+    decrease, expected = decreases(before, after, step)
     return min(1.0, max(ALIGNMENT.least_hessian_fraction, decrease / max(expected, 1e-30)))
 
 
 def _is_clear(pulls: BlockGradients, noise: float) -> bool:
     """Return whether the slopes are those of the picture in every direction."""
-    weakest, *_ = _principal_axes(pulls.stiffness.sum(axis=0))
+    weakest, *_ = _principal_axes(pulls.total_stiffness)
     return bool(weakest > ALIGNMENT.clearly * _noise_stiffness(pulls, noise))
 
 
@@ -262,7 +266,7 @@ def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag
     felt = np.empty((2, 2))
     for axis in (0, 1):
         ahead, behind = (
-            _gradients(first, second, (lag[0] + off * (1 - axis), lag[1] + off * axis), side).pull.sum(axis=0)
+            _gradients(first, second, (lag[0] + off * (1 - axis), lag[1] + off * axis), side).total_pull
             for off in (ALIGNMENT.probe_px, -ALIGNMENT.probe_px)
         )
         felt[axis] = (behind - ahead) / (2 * ALIGNMENT.probe_px)

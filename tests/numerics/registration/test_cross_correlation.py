@@ -9,10 +9,12 @@ from scipy.ndimage import gaussian_filter
 from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
 
 
-def test_it_is_the_correlation_of_the_common_known_pixels():
+@pytest.mark.parametrize("known", [0.8, 1.0])
+def test_it_is_the_correlation_of_the_common_known_pixels(known):
+    """With gaps by transforms of the masks, without by sums of rectangles."""
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(30, 20)).astype(np.float32), rng.normal(size=(26, 23)).astype(np.float32)
-    valid, other = rng.random(first.shape) < 0.8, rng.random(second.shape) < 0.9
+    valid, other = rng.random(first.shape) < known, rng.random(second.shape) < np.sqrt(known)
     first, second = first * valid, second * other
     alike = normalised_cross_correlation(first, valid, second, other, (3, -2), 4)
     for row in (-4, 0, 3):
@@ -26,6 +28,16 @@ def test_it_is_the_correlation_of_the_common_known_pixels():
             )
             assert alike.pixels[row + 4, col + 4] == both.sum()
             assert alike.correlation[row + 4, col + 4] == pytest.approx(expected, abs=1e-4)
+
+
+def test_shifts_without_a_common_pixel_are_not_correlated():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 12, 9)).astype(np.float32)
+    valid = np.ones(first.shape, bool)
+    alike = normalised_cross_correlation(first, valid, second, valid, (8, -5), 6)
+    lags = 8 + np.arange(-6, 7)[:, None], -5 + np.arange(-6, 7)
+    np.testing.assert_array_equal(alike.pixels, np.maximum(12 - abs(lags[0]), 0) * np.maximum(9 - abs(lags[1]), 0))
+    assert not alike.correlation[alike.pixels == 0].any()
 
 
 @pytest.mark.parametrize("blur", [0.0, 2.0])

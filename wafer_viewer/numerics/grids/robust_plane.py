@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import Float32s, Real, lean_kernel, lean_part
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, median
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +86,11 @@ def fit_plane(differences: Float32s, side: int) -> Plane | None:
     sample = _sample(differences)
     if len(sample) < min(PLANE_FIT.least_pixels, differences.size):
         return None
-    plane: Numbers = np.array([float(np.median(sample[:, 0])), 0.0, 0.0])
+    plane: Numbers = np.array([median(sample[:, 0]), 0.0, 0.0])
     limit = 1.0
     for _ in range(PLANE_FIT.most_steps):
         residuals = sample[:, 0] - plane[0] - sample[:, 1:] @ plane[1:]
-        limit = _TUKEY * (MAD_TO_SIGMA * float(np.median(np.abs(residuals))) + PLANE_FIT.least_scale)
+        limit = _TUKEY * (MAD_TO_SIGMA * median(np.abs(residuals)) + PLANE_FIT.least_scale)
         normal, right = _normal(_band_sums(differences, plane, limit, side))
         step = np.linalg.lstsq(normal, right, rcond=1e-9)[0]
         plane += step

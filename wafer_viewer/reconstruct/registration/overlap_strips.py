@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Outline
 from wafer_viewer.numerics.filters.gaussian import binned
-from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
+from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN, median
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage
 
 Read = Callable[[HeightMap, slice, slice], RegisteredImage]
@@ -112,7 +112,7 @@ def _noise(plane: NDArray[np.float32]) -> float:
     some = plane[: len(plane) - 2 : stride], plane[1 : len(plane) - 1 : stride], plane[2::stride]
     down = some[0] - 2 * some[1] + some[2]
     curved = down[:, 2:] - 2 * down[:, 1:-1] + down[:, :-2]
-    return float(np.median(np.abs(curved))) / (HALF_NORMAL_MEDIAN * 6) if curved.size else 0.0
+    return median(np.abs(curved)) / (HALF_NORMAL_MEDIAN * 6) if curved.size else 0.0
 
 
 def height_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
