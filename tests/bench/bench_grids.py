@@ -1,7 +1,8 @@
 """Stitching of grids drawn by seed: random ground, repeating dies, lines, under uneven light and by poor stages.
 
-    python tests/bench/bench_grids.py [--grids N] [--from SEED] [--each] [--quick]
+    python tests/bench/bench_grids.py [--grids N] [--from SEED] [--each] [--quick] [--scenes [NAME ...]]
 
+--scenes: grids of many fields by name, 3 seeds each, of 16 x 13 and 40 x 40 fields; all of them take some minutes.
 Seeds below 1000 are for tuning; figures to be quoted start at 1000. Errors are in pixels, apart from the place and turn
 of the whole, without the fields that do not belong; a field is far off beyond 2 px. A grid is silently wrong where a
 field is far off and no note says that anything is undecided.
@@ -21,11 +22,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import Cell, show
-from tests.truth.drawn_grids import PIXEL_UM, MadeGrid, drawn, made
+from tests.truth.drawn_grids import PIXEL_UM, SCENES, MadeGrid, drawn, made, planted
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.reconstruct.stitching import stitch
 
 FAR_PX = 2.0
+HEADER = (
+    "ground", "grids", "rms px: median", "mean", "worst tenth", "<= .03 px", "normalised", "believed", "wrong",
+    "misfits", "false alarms", "silently wrong", "ms per overlap",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +58,11 @@ def main() -> None:
     parser.add_argument("--from", type=int, default=1000, dest="first")
     parser.add_argument("--each", action="store_true", help="a row for each grid")
     parser.add_argument("--quick", action="store_true", help="eight grids for tuning")
+    parser.add_argument("--scenes", nargs="*", choices=(*SCENES, []), metavar="NAME", help="grids of many fields")
     asked = parser.parse_args()
+    if asked.scenes is not None:
+        judge_scenes(asked.scenes or list(SCENES), range(asked.first, asked.first + min(asked.grids, 3)), asked.each)
+        return
     seeds = range(8) if asked.quick else range(asked.first, asked.first + asked.grids)
     found: dict[str, list[Outcome]] = defaultdict(list)
     judged(made(drawn(0)))  # compiles what is not compiled yet
@@ -64,11 +73,19 @@ def main() -> None:
         found["all"].append(outcome)
         if asked.each:
             print(seed, grid.kind, told(grid), one_row(outcome), *outcome.notes, sep=" | ", flush=True)
-    header = (
-        "ground", "grids", "rms px: median", "mean", "worst tenth", "<= .03 px", "normalised", "believed", "wrong",
-        "misfits", "false alarms", "silently wrong", "ms per overlap",
-    )  # fmt: skip
-    show(f"Positions of drawn grids, seeds from {seeds[0]}", header, [row(name, some) for name, some in found.items()])
+    show(f"Positions of drawn grids, seeds from {seeds[0]}", HEADER, [row(name, some) for name, some in found.items()])
+
+
+def judge_scenes(names: list[str], seeds: range, each: bool) -> None:
+    """Stitch grids of `SCENES`, with the largest error of each."""
+    judged(made(drawn(0)))
+    rows: list[tuple[Cell, ...]] = []
+    for name in names:
+        some = [judged(made(planted(name, seed))) for seed in seeds]
+        if each:
+            print(name, *map(one_row, some), sep="\n  ", flush=True)
+        rows.append((*row(name, some), f"{max(o.max_px for o in some):.3f}"))
+    show(f"Positions of grids of many fields, seeds from {seeds[0]}", (*HEADER, "max px"), rows)
 
 
 def judged(grid: MadeGrid) -> Outcome:

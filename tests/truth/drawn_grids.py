@@ -7,8 +7,8 @@ smooth pictures of the whole by cubic splines, so that every place between two p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,23 @@ class DrawnGrid:
         return scatter / min(self.pitch_px) if self.periodic else 0.0
 
 
+_PLANTED: dict[str, Any] = {"kind": "dies", "rows": 16, "cols": 13, "shape": (300, 400), "overlap": 0.12, "angle": 0.0}
+_PLANTED |= {"pitch_px": (170.0, 170.0), "stage_px": 3.0, "backlash_px": 6.0, "drift_px": 0.0, "turn": 3.5e-3}
+_PLANTED |= {"scale": 0.0, "fall_off": 0.075, "off_centre": (0.0, 0.0), "gain_sd": 0.0, "dust": 0.0, "blank": 0.0}
+_PLANTED |= {"noise": 3.0}
+_SMALL: dict[str, Any] = {"rows": 40, "cols": 40, "shape": (200, 260)}
+_FINE: dict[str, Any] = {"pitch_px": (30.0, 30.0), "stage_px": 3.0, "backlash_px": 4.0}
+SCENES: dict[str, dict[str, Any]] = {
+    "random, 16 x 13": {"kind": "random"},
+    "dies of 170 px, 16 x 13": {},
+    "the same, light falls off by 15 / 30 %": {"fall_off": 0.15},
+    "dies of 30 px, 16 x 13": _FINE,
+    "random, 40 x 40 of 200 x 260": {"kind": "random", **_SMALL},
+    "dies of 30 px, 40 x 40 of 200 x 260": _FINE | _SMALL,
+}
+"""Grids of many fields by name, and what is different from `planted`; stages of fine dies within `STAGE_OF_PITCH`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MadeGrid:
     """Fields of a drawn grid as the stitcher gets them, [n], and where they truly are, (x, y) [n, 2] in um.
@@ -130,6 +147,19 @@ def drawn(seed: int) -> DrawnGrid:
         missing=tuple(int(k) for k in odd[:n_missing]) if n >= 12 else (),
         misfits=tuple((int(k), what) for k in wrong),
     )
+
+
+def planted(name: str, seed: int) -> DrawnGrid:
+    """Return a grid of `SCENES`: 1 of 40 fields is missing, two are swapped, one is of another sample.
+
+    Dies under light that falls off by 7.5 % at edges and 15 % in corners; a camera turned by .2 degrees; a stage that
+    errs by 3 px, and by 6 px more in every second row.
+    """
+    grid = replace(drawn(seed), **_PLANTED)
+    grid = replace(grid, **SCENES[name])
+    odd = [int(k) for k in np.random.default_rng((5, seed)).permutation(grid.rows * grid.cols)]
+    what = ("swapped", "swapped", "foreign")
+    return replace(grid, misfits=tuple(zip(odd[:3], what, strict=True)), missing=tuple(odd[3 : 3 + len(odd) // 40]))
 
 
 def made(grid: DrawnGrid) -> MadeGrid:
