@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.bench.bench_grids import judged
-from tests.truth.drawn_grids import drawn, made
+from tests.truth.drawn_grids import drawn, made, planted
 
 pytestmark = pytest.mark.slow
 SEEDS = {"dies": (3, 4, 9, 19), "dusty dies": (5, 17), "lines": (2, 6), "random": (11,)}
@@ -33,3 +33,9 @@ def test_what_is_random_under_the_light_of_a_lamp_has_honest_uncertainties() -> 
     found = judged(made(drawn(8)))
     assert 0.4 < (sum(e * e for e in found.normalised) / len(found.normalised)) ** 0.5 < 1.3
     assert (found.found, found.planted, found.alarms) == (1, 1, 0)
+
+
+def test_many_fields_of_large_dies_are_placed_under_light_that_falls_off() -> None:
+    found = judged(made(planted("dies of 170 px, 16 x 13", 0)))
+    assert found.rms_px < 0.04
+    assert (found.wrong, found.found, found.alarms) == (0, found.planted, 0)
