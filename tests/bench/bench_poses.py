@@ -5,8 +5,8 @@
 Fields lie on a full circle; their overlaps are simulated (10 % of them blank, 3 % wrong; 3 % of the seams wrong; a
 turned camera that leans and bends every field). The full run goes up to 1 000 000 fields, a 300 mm wafer, each size in
 a process of its own; --quick ends at 1000. Seconds are by the clock; the processors' own time stands beside them.
-choice: among the offsets of a pattern that 1 % of the overlaps show, up to 100 000 fields, with the number of those
-overlaps and of those to be measured at a wrong offset.
+choice: seconds of the processor to choose among the offsets of a pattern that 1 % of the overlaps show, up to 100 000
+fields, with the number of those overlaps and of those to be measured at a wrong offset.
 """
 
 from __future__ import annotations
@@ -79,13 +79,13 @@ def measured(size: int) -> str:
 
 
 def chosen(fields: Fields) -> str:
-    """Seconds of the choice among the offsets of patterns, overlaps that show one, and those that are chosen wrong."""
+    """Return the seconds of the choice among the offsets of patterns, overlaps that show one, those chosen wrong."""
     random = np.random.default_rng(len(fields.x_um))
     shifts, true = shifts_of(fields, random, wrong=0.03, blank=0.1, turn=1e-3)
     shifts = repeating(shifts, random, REPEATING, PITCH_PX)
-    begun = time.perf_counter()
+    begun = time.process_time()
     choice = choose_candidates(fields.x_um, fields.y_um, shifts, PIXEL_UM)
-    took_s = time.perf_counter() - begun
+    took_s = time.process_time() - begun
     if choice is None:
         return ""
     moved = true - np.column_stack((fields.x_um, fields.y_um))

@@ -92,6 +92,7 @@ class AlignmentParameters:
 ALIGNMENT = AlignmentParameters()
 
 _BOTH = np.eye(2)
+"""Unit vectors where a picture determines both directions."""
 
 Lag = tuple[float, float]
 
@@ -227,7 +228,7 @@ class _Surface:
         if self.held.shape[1] == 1:
             across = self.held[:, 0]
             return _within_a_pixel(across * (float(across @ pull) / float(across @ matrix @ across)))
-        return _within_a_pixel(np.linalg.solve(matrix, pull))
+        return _within_a_pixel(np.asarray(np.linalg.solve(matrix, pull), np.float64))
 
 
 def _within_a_pixel(step: Numbers) -> Numbers:

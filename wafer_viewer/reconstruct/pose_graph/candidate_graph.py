@@ -152,8 +152,8 @@ def _with_single(shifts: Shifts, rows: NDArray[np.intp]) -> Numbers:
 
 def _with_slack(precision: Numbers) -> Numbers:
     """Return precisions (xx, xy, yy) with `ChoiceParameters.slack_px` added to the uncertainty."""
-    known = np.isfinite(precision).all(axis=-1)
-    xx, xy, yy = np.moveaxis(np.where(known[..., None], precision, 0), -1, 0)
+    known = np.isfinite(precision).all(axis=-1, keepdims=True)
+    xx, xy, yy = np.moveaxis(np.where(known, precision, 0), -1, 0)
     variance = CHOICE.slack_px**2
     both = variance * (xx * yy - xy**2)
     determinant = 1 + variance * (xx + yy + both)

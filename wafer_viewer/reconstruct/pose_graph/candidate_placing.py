@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers
-from wafer_viewer.numerics.jit import lean_kernel
+from wafer_viewer.numerics.jit import Int, Real, lean_kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.pose_graph.amg_solver import System, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
@@ -167,7 +167,7 @@ class Placing:
             *(graph.ends, graph.edges, graph.first, graph.second, graph.offset, graph.precision, graph.misfit),
             *(self.stage, self.place, self.placed, self.odds),
             expected=self.stage + self.shared_by @ self.shared,
-            prior=np.linalg.inv(covariance),
+            prior=np.asarray(np.linalg.inv(covariance), np.float64),
             most_cost=CHOICE.most_overlap_nats,
             near=CHOICE.near_px,
             proposals=np.empty((n_proposals, 3)),
@@ -271,7 +271,7 @@ def _joint_step(
 
 @lean_kernel
 def _place(
-    field: int,
+    field: Int,
     edges: Ints,
     first: Ints,
     second: Ints,
@@ -388,7 +388,7 @@ class _Heap(NamedTuple):
 
 
 class _Surroundings(NamedTuple):
-    """What the place of a field depends on: `CandidateGraph`, `Placing`, and room for `_place`, with their letters.
+    """Arguments of `_place` that all fields share: the fields of `CandidateGraph` and `Placing`, limits, and room.
 
     expected, prior: place by the stage and its inverse covariance, [n, 2] and [n, 2, 2].
     """
@@ -416,12 +416,12 @@ class _Surroundings(NamedTuple):
 @lean_kernel
 def _put_each(fields: Ints, at: _Surroundings) -> None:
     """Put each field to its best place, one after the other."""
-    for field in fields:
-        _put(field, at)
+    for n in range(fields.size):
+        _put(fields[n], at)
 
 
 @lean_kernel
-def _grow(heap: _Heap, at: _Surroundings, limit: int) -> int:
+def _grow(heap: _Heap, at: _Surroundings, limit: int) -> Int:
     """Place up to `limit` fields, the surest next; return the last one, or -1 where no field is left.
 
     Its neighbours are not in the heap yet.
@@ -440,9 +440,10 @@ def _grow(heap: _Heap, at: _Surroundings, limit: int) -> int:
 
 
 @lean_kernel
-def _push_neighbours(heap: _Heap, field: int, at: _Surroundings) -> None:
-    for edge in at.edges[at.ends[field] : at.ends[field + 1]]:
-        other = at.first[edge] + at.second[edge] - field
+def _push_neighbours(heap: _Heap, field: Int, at: _Surroundings) -> None:
+    for n in range(at.ends[field], at.ends[field + 1]):
+        edge = int(at.edges[n])
+        other = int(at.first[edge] + at.second[edge] - field)
         if not at.placed[other]:
             _look(other, at)
             heap.latest[other] = -at.found[2]
@@ -450,7 +451,7 @@ def _push_neighbours(heap: _Heap, field: int, at: _Surroundings) -> None:
 
 
 @lean_kernel
-def _push(heap: _Heap, cost: float, field: int) -> None:
+def _push(heap: _Heap, cost: Real, field: Int) -> None:
     at = heap.size[0]
     heap.size[0] += 1
     while at > 0:
@@ -463,12 +464,12 @@ def _push(heap: _Heap, cost: float, field: int) -> None:
 
 
 @lean_kernel
-def _popped(heap: _Heap, placed: Flags) -> int:
+def _popped(heap: _Heap, placed: Flags) -> Int:
     """Take the cheapest entry that is the last one of a field without a place; return this field, or -1."""
     while heap.size[0] > 0:
         top_cost, top_field = heap.cost[0], heap.field[0]
         heap.size[0] -= 1
-        n, at = heap.size[0], 0
+        n, at = int(heap.size[0]), 0
         cost, field = heap.cost[n], heap.field[n]
         while 2 * at + 1 < n:
             below = 2 * at + 1
@@ -485,18 +486,18 @@ def _popped(heap: _Heap, placed: Flags) -> int:
 
 
 @lean_kernel
-def _is_before(heap: _Heap, at: int, cost: float, field: int) -> bool:
+def _is_before(heap: _Heap, at: Int, cost: Real, field: Int) -> bool:
     return heap.cost[at] < cost or (heap.cost[at] == cost and heap.field[at] < field)
 
 
 @lean_kernel
-def _put(field: int, at: _Surroundings) -> None:
+def _put(field: Int, at: _Surroundings) -> None:
     _look(field, at)
     at.place[field, 0], at.place[field, 1], at.odds[field] = at.found[0], at.found[1], at.found[2]
 
 
 @lean_kernel
-def _look(field: int, at: _Surroundings) -> None:
+def _look(field: Int, at: _Surroundings) -> None:
     _place(
         field,
         at.edges[at.ends[field] : at.ends[field + 1]],
