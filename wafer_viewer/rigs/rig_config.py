@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import RigError, WaferViewerError
-from wafer_viewer.model.spec import Spec, Within, decode
+from wafer_viewer.model.spec import MOST_TOML_BYTES, Spec, Within, decode
 from wafer_viewer.rigs.composed.devices import DevicesConfig
 from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
 from wafer_viewer.rigs.virtual.faults import Faults
@@ -83,8 +83,9 @@ RIGS: dict[str, Callable[[RigConfig], Rig]] = {"virtual": open_virtual, "compose
 def read_config(path: Path) -> RigConfig:
     """Read the configuration from a TOML file. Raises RigError when it cannot be read."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as fault:
+        with path.open("rb") as file:
+            text = file.read(MOST_TOML_BYTES + 1)
+    except OSError as fault:
         raise RigError(
             f"The rig's file {path} cannot be read ({fault}): check its name and that it is text."
         ) from fault

@@ -19,6 +19,12 @@ def true_um(bench):
     return at.x_um, at.y_um, at.z_um
 
 
+def test_a_status_with_too_few_axes_is_damaged_and_asked_for_again():
+    bench = switch_on(DRIVERS["grbl"])
+    bench.cables["grbl"].ahead = [b"<Idle|MPos:1.000,2.000|FS:0,0>\n"]
+    assert bench.stage.position().z_um == pytest.approx(0.0, abs=0.1)
+
+
 def test_a_stage_that_was_switched_on_is_not_homed_and_its_first_move_homes_it(cold):
     assert not cold.stage.homed()
     cold.stage.move_to(x_um=100.0, y_um=-50.0, z_um=20.0)

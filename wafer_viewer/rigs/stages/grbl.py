@@ -82,9 +82,10 @@ def parse_status(line: str) -> Status | None:
     if found[2] == "W":
         raise RigError("The GRBL controller reports work positions: send $10=1 to it once, for machine positions.")
     try:
-        return Status(found[1], tuple(float(text) for text in found[3].split(",")))
+        position_mm = tuple(float(text) for text in found[3].split(","))
     except ValueError:
         return None
+    return Status(found[1], position_mm) if all(map(math.isfinite, position_mm)) else None
 
 
 class GrblController:
@@ -219,7 +220,8 @@ class GrblController:
     def _status(self) -> Status:
         for _ in range(TRIES):
             self._line.send(STATUS_QUERY)
-            if (status := self._next_status()) is not None:
+            status = self._next_status()
+            if status is not None and len(status.position_mm) > max(self._indices.values()):  # else it is damaged
                 self._last = status
                 return status
         raise self._line.silent("?")
