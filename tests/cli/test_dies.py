@@ -71,7 +71,7 @@ def test_the_dies_of_a_job_keep_its_names(surface, tmp_path, capsys):
         (GIVEN[:3], "Dies are given by their pitch and the corner of one of them: give both, or neither."),
         (("--angle-deg", 1), "The size and the angle of dies go with their pitch and origin: give these too."),
         ((*GIVEN, "--job", "plan.toml"), "Dies are given by a job or by their pitch and origin"),
-        (("--job", "gone.toml"), "gone.toml cannot be read: no such file or directory: check the path."),
+        (("--job", "gone.toml"), "gone.toml cannot be read, it does not exist: check the path."),
         ((*GIVEN[:4], 100, *GIVEN[5:]), "um off those that the surface shows, over a quarter of their pitch"),
         ((*GIVEN[:7], 250, 121), "DieGrid.width_um is 250.0: it must be at most the pitch 201.3 um."),
         (("--pitch-um", 9000, 9000, *GIVEN[3:4], 2000, 2000, *GIVEN[6:]), "No die of the lattice lies on the surface"),

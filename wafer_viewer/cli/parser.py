@@ -25,21 +25,22 @@ def recipe_file(argv: list[str]) -> tuple[Recipe | None, list[str]]:
         if word == "--recipe":
             if i + 1 == len(argv):
                 raise PlanError(f"--recipe needs a file or a name: give a RECIPE.toml or one of {_NAMES}.")
-            return _read_recipe(argv[i + 1]), argv[:i] + argv[i + 2 :]
+            return read_recipe(argv[i + 1]), argv[:i] + argv[i + 2 :]
         if word.startswith("--recipe="):
-            return _read_recipe(word.removeprefix("--recipe=")), argv[:i] + argv[i + 1 :]
+            return read_recipe(word.removeprefix("--recipe=")), argv[:i] + argv[i + 1 :]
     return None, argv
 
 
-def _read_recipe(name: str) -> Recipe:
+def read_recipe(name: str) -> Recipe:
+    """Return a ready recipe by its name, or that of a TOML file. Raises PlanError when there is none."""
+    from wafer_viewer.store.io.guarded_reading import read_content
+
     if name in READY_RECIPES:
         return READY_RECIPES[name]
     path = Path(name)
-    try:
-        return decode(path.read_bytes(), Recipe, path.name)
-    except OSError as fault:
-        reason = (fault.strerror or str(fault)).lower()
-        raise PlanError(f"{path} cannot be read: {reason}: check the path, or take a ready one: {_NAMES}.") from fault
+    if not path.is_file():
+        raise PlanError(f"{path} cannot be read, it does not exist: check the path, or take a ready one: {_NAMES}.")
+    return decode(read_content(path, PlanError), Recipe, path.name)
 
 
 @contextlib.contextmanager

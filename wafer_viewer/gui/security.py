@@ -23,6 +23,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
+from wafer_viewer.gui.incoming import Handler, checked, report_handler_faults
 from wafer_viewer.gui.message_wakeup import wake_senders_on_their_loop
 from wafer_viewer.session.core.page_token import new_token
 
@@ -145,6 +146,7 @@ def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.V
     with _guarding(guard), contextlib.redirect_stdout(io.StringIO()):  # viser would print an address without the token
         server = viser.ViserServer(host=host, port=port, verbose=False)
     guard.bound_to(server.get_port())
+    report_handler_faults(server)
     server.request_share_url = _no_tunnel
     return server, guard
 
@@ -154,8 +156,8 @@ def _guarding(guard: AccessGuard) -> Generator[None]:
     """Patch the guard into the websocket server that viser opens meanwhile; viser has no parameter for it."""
     plain = websocket_server.serve
 
-    def serve(*args: Any, process_request: Answer | None = None, **kwargs: Any) -> Any:
-        return plain(*args, process_request=guard.around(process_request), **kwargs)
+    def serve(handle: Handler, *args: Any, process_request: Answer | None = None, **kwargs: Any) -> Any:
+        return plain(checked(handle), *args, process_request=guard.around(process_request), **kwargs)
 
     with _patching:
         websocket_server.serve = serve

@@ -5,6 +5,9 @@ Each message is one sentence: the object, the value, the limit and the remedy.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+
 
 class WaferViewerError(Exception):
     """Base of all errors that are shown to the user instead of a traceback."""
@@ -69,3 +72,27 @@ class DiesNotFound(MeasureError):
 
 class ControlHeldError(WaferViewerError):
     """A command that requires the controls came from a client that does not hold them."""
+
+
+@contextmanager
+def parser_errors_as(refusal: Callable[[Exception], WaferViewerError]) -> Generator[None]:
+    """Run a parser of foreign bytes: whatever it raises becomes the error that `refusal` makes of it.
+
+    Libraries raise errors of any kind for damage that their authors did not expect. Errors of the program itself pass
+    unchanged.
+    """
+    try:
+        yield
+    except WaferViewerError:
+        raise
+    except Exception as fault:
+        raise refusal(fault) from fault
+
+
+def detail(fault: Exception) -> str:
+    """Return the message of a parser in brackets, on one line and shortened; empty if it has none."""
+    text = " ".join(str(fault).split()).rstrip(".")
+    return f" ({text[:_LONGEST_DETAIL]})" if text else ""
+
+
+_LONGEST_DETAIL = 160

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+import re
 import tomllib
 import types
 import typing
@@ -68,7 +69,8 @@ class Spec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     def refuse(self, name: str, limit: str) -> typing.NoReturn:
         """Raise this spec's error: `limit` completes the sentence 'it must be ...'."""
-        raise self.error(f"{type(self).__name__}.{name} is {getattr(self, name)!r}: it must be {limit}.")
+        value = _shortened(repr(getattr(self, name)))
+        raise self.error(f"{type(self).__name__}.{name} is {value}: it must be {limit}.")
 
 
 S = TypeVar("S", bound=Spec)
@@ -88,11 +90,44 @@ def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> 
     try:
         if form == "json":
             return msgspec.json.decode(text, type=kind)
-        return msgspec.convert(tomllib.loads(text.decode() if isinstance(text, bytes) else text), kind)
+        return msgspec.convert(_parsed_toml(text.decode() if isinstance(text, bytes) else text), kind)
     except (tomllib.TOMLDecodeError, msgspec.DecodeError, UnicodeDecodeError) as fault:
         raise kind.error(f"{name}: {_plain(str(fault))}.") from fault
+    except RecursionError as fault:
+        raise kind.error(f"{name}: it has too many levels of brackets: check what it is.") from fault
+    except (ValueError, OverflowError) as fault:  # a number of thousands of digits, a date that does not exist
+        raise kind.error(f"{name}: a value cannot be read ({_plain(str(fault))}).") from fault
     except WaferViewerError as fault:
         raise type(fault)(f"{name}: {fault}") from fault
+
+
+MOST_TOML_BYTES = 8_000_000
+"""Largest TOML text: a plan of 100 000 fields one by one; larger ones take minutes to parse."""
+MOST_TOML_LEVELS = 32
+"""Deepest nesting of brackets, and most parts of a dotted key, in TOML. The parser needs memory with their square."""
+_ESCAPED = r"\\(?:.|\Z)"
+_TOML_TEXTS = re.compile(
+    rf"\"{{3}}(?:[^\\]|{_ESCAPED})*?(?:\"{{3}}|\Z)|'{{3}}.*?(?:'{{3}}|\Z)"
+    rf"|\"(?:[^\"\\\n]|{_ESCAPED})*+(?:[\"\n]|\Z)|'[^'\n]*+(?:['\n]|\Z)|#[^\n]*+",
+    re.DOTALL,
+)
+"""Texts and comments. One that is not closed ends with its line or the file, so that each letter is looked at once."""
+_DOTTED_KEY = re.compile(rf"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){{{MOST_TOML_LEVELS},}}")
+
+
+def _parsed_toml(text: str) -> dict[str, Any]:
+    """Parse TOML after a check of its size and its nesting. Raises TOMLDecodeError."""
+    if len(text) > MOST_TOML_BYTES:
+        raise tomllib.TOMLDecodeError(f"it has more than {MOST_TOML_BYTES // 1_000_000} MB, too much for settings")
+    plain = _TOML_TEXTS.sub("x", text)
+    depth = 0
+    for bracket in re.finditer(r"[\[\]{}]", plain):
+        depth += 1 if bracket[0] in "[{" else -1
+        if depth > MOST_TOML_LEVELS:
+            raise tomllib.TOMLDecodeError(f"it has more than {MOST_TOML_LEVELS} levels of brackets")
+    if _DOTTED_KEY.search(plain):
+        raise tomllib.TOMLDecodeError(f"a key in it has more than {MOST_TOML_LEVELS} parts")
+    return tomllib.loads(text)
 
 
 def encode(spec: Spec, form: Form = "toml") -> str:
@@ -112,12 +147,22 @@ def _plain_number(value: Any) -> Any:
 
 
 def _plain(message: str) -> str:
-    return (
+    """Return the message of a parser in the words of the house, on one line and shortened."""
+    plain = (
         message.replace("Object contains unknown field", "unknown key")
         .replace("`", "'")
         .replace(" - at '$", " at '")
         .rstrip(".")
     )
+    return _shortened(" ".join(plain.split()))
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST_QUOTE else f"{text[: _LONGEST_QUOTE // 2]} … {text[-_LONGEST_QUOTE // 2 :]}"
+
+
+_LONGEST_QUOTE = 300
+"""Letters of a value or of the message of a parser that a sentence contains."""
 
 
 def _without_none(data: Any) -> Any:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.session.state.snapshot import Snapshot, Typed
@@ -100,17 +100,20 @@ class SessionRestore:
 
         Raises DatasetError, with the sentence to show, if the file cannot be read.
         """
-        try:
-            point = msgspec.json.decode(_small(self._path), type=RestorePoint)
-            if point.version != VERSION:
-                raise DatasetError(f"it is of version {point.version}, this program writes {VERSION}")
-            point.plan()
-        except FileNotFoundError:
+        from wafer_viewer.store.io.guarded_reading import read_content
+
+        if not self._path.exists():
             return RestorePoint(version=VERSION)
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError, WaferViewerError) as fault:
+        try:
+            with parser_errors_as(lambda fault: DatasetError(str(fault))):
+                point = msgspec.json.decode(read_content(self._path, most=LARGEST_BYTES), type=RestorePoint)
+                if point.version != VERSION:
+                    raise DatasetError(f"it is of version {point.version}, this program writes {VERSION}")
+                point.plan()
+        except WaferViewerError as fault:
             raise DatasetError(
-                f"{self._path} cannot be read ({str(fault).rstrip('.')}): the program starts with nothing open. "
-                "Datasets and results are as they were. Nothing to do."
+                f"{self._path} cannot be read ({' '.join(str(fault).split()).rstrip('.')}): the program starts with "
+                "nothing open. Datasets and results are as they were. Nothing to do."
             ) from fault
         return point
 
@@ -161,9 +164,3 @@ def _taken(folder: Path, holder: Holder) -> str:
         f"Another Wafer Viewer ({holder}) works in {folder.parent} and remembers there what it has open. "
         f"This one began with nothing open, and will do so again as long as the other one runs.{dead} Nothing to do."
     )
-
-
-def _small(path: Path) -> bytes:
-    if path.stat().st_size > LARGEST_BYTES:
-        raise DatasetError(f"it has more than {LARGEST_BYTES // 1_000_000} MB")
-    return path.read_bytes()

@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import msgspec
 import pytest
 import viser
+import viser._messages as viser_messages
 import websockets.sync.client
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
 from wafer_viewer.gui.security import AccessGuard, open_server
 from wafer_viewer.session.core.page_token import new_token
@@ -176,3 +178,65 @@ def test_a_server_opened_meanwhile_by_others_is_left_alone() -> None:
         assert plain.serve is before
     finally:
         opened.stop()
+
+
+def connected(server: Server) -> websockets.sync.client.ClientConnection:
+    """An open connection of a browser that may use the page."""
+    port = server[0].get_port()
+    return websockets.sync.client.connect(
+        f"ws://127.0.0.1:{port}",
+        origin=f"http://127.0.0.1:{port}",  # pyright: ignore[reportArgumentType]
+        additional_headers={"Cookie": cookie(server)},
+        subprotocols=[f"viser-v{viser.__version__}"],  # pyright: ignore[reportArgumentType]
+        max_size=None,
+    )
+
+
+def receive_all(wire: websockets.sync.client.ClientConnection) -> None:
+    """Receive until the connection is closed."""
+    while True:
+        wire.recv(timeout=5)
+
+
+def upload(n_bytes: int) -> bytes:
+    start = viser_messages.FileTransferStartUpload("button", "transfer", "scan.csv", "text/csv", 3, n_bytes)
+    return msgspec.msgpack.encode(start.as_serializable_dict())
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "a text",
+        b"",
+        b"\xc1\xff",
+        msgspec.msgpack.encode({"type": "NoSuchMessage"}),
+        msgspec.msgpack.encode({"type": "GuiUpdateMessage"}),
+        msgspec.msgpack.encode({"type": "ViewerCameraMessage", "fov": "wide"}),
+        b"\x91" * 100_000,
+        upload(1_200_000_000),
+        upload(-1),
+    ],
+)
+def test_a_message_that_no_page_sends_closes_its_connection_with_one_line(server: Server, message, caplog, capfd):
+    with caplog.at_level("WARNING"), connected(server) as wire:
+        wire.send(message)
+        with pytest.raises(ConnectionClosedError) as closed:
+            receive_all(wire)
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 1008
+    assert [r.getMessage().startswith("A connection was closed: A browser") for r in caplog.records] == [True]
+    assert "Traceback" not in caplog.text + "".join(capfd.readouterr())
+    assert socket_status(server, Origin=f"http://127.0.0.1:{server[0].get_port()}", Cookie=cookie(server)) == 101
+
+
+def test_a_message_that_a_handler_cannot_take_is_one_line_and_the_connection_stays(server: Server, caplog, capfd):
+    number = server[0].gui.add_number("Number", 1.5)
+    typed = {"type": "GuiUpdateMessage", "uuid": number._impl.uuid, "updates": {"value": "no number"}}
+    with caplog.at_level("WARNING"), connected(server) as wire:
+        wire.send(msgspec.msgpack.encode(typed))
+        with contextlib.suppress(TimeoutError):
+            while "was not handled" not in caplog.text:
+                wire.recv(timeout=0.5)
+        assert wire.ping().wait(5)
+    assert "A message of a browser was not handled: ValueError" in caplog.text
+    assert "Traceback" not in caplog.text + "".join(capfd.readouterr())

@@ -21,6 +21,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import LEFT_PX, RIGHT_PX
+from wafer_viewer.model.errors import WaferViewerError, detail, parser_errors_as
 from wafer_viewer.session.state.snapshot import Snapshot
 
 EDGE_PX = 4
@@ -96,6 +97,12 @@ class BrowserInfo(msgspec.Struct, frozen=True):
     at_ms: float = 0.0
 
 
+def read_info(text: str) -> BrowserInfo:
+    """Return a report from its text. Raises WaferViewerError for any other text."""
+    with parser_errors_as(lambda fault: WaferViewerError(f"The browser sent no report of itself{detail(fault)}.")):
+        return msgspec.json.decode(text, type=BrowserInfo)
+
+
 class BrowserEvents:
     """Handler of the reports of a page's browser: stores the layout, and names the browser after its system.
 
@@ -138,7 +145,7 @@ class BrowserEvents:
             self._system = None
 
     def _hear(self, text: str) -> None:
-        info = msgspec.json.decode(text, type=BrowserInfo)
+        info = read_info(text)
         with self._one_at_a_time:
             if info.at_ms < self._latest_ms:
                 return

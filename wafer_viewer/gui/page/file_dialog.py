@@ -5,13 +5,16 @@ The session lists folders and renders previews on its own threads; this module o
 
 from __future__ import annotations
 
+import atexit
 import base64
 import os
 import shlex
+import shutil
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future
 from datetime import datetime
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any, get_args
@@ -20,6 +23,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, size
+from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, outlined
@@ -43,9 +47,17 @@ def save_upload(file: viser.UploadedFile, otherwise: str = "upload") -> Path:
 
     otherwise: file name if the sender gave none.
     """
-    target = Path(tempfile.mkdtemp(prefix="wafer-viewer-")) / (Path(file.name).name or otherwise)
+    target = Path(tempfile.mkdtemp(dir=_uploads())) / (Path(file.name).name or otherwise)
     target.write_bytes(file.content)
     return target
+
+
+@cache
+def _uploads() -> Path:
+    """Return the folder of the files sent to this process; it is removed when the process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="wafer-viewer-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 MOST_SHOWN = 2000
@@ -179,6 +191,11 @@ class FileList:
             if then is not None:
                 then()
 
+    def _refuse_upload(self, name: str) -> None:
+        most = f"{MOST_UPLOAD_BYTES / 1e6:.0f} MB"
+        text = f"{name} has more than {most}: copy it to this computer's data folder and choose it in the list."
+        self._status.show(Markup('<div class="wv-note fault">{}</div>').format(text))
+
     # --- where to look
 
     def go(self, folder: Path, prefix: str = "", *, typing: bool = False) -> None:
@@ -251,6 +268,7 @@ class FileList:
         page.on_pick("file-parent", lambda _: self._to_parent())
         page.on_pick("file-order", self._sort)
         page.on_pick("file-more", lambda _: self._more())
+        page.on_pick("file-too-large", self._refuse_upload)
 
     def _typed(self, event: Any) -> None:
         """Follow the typed path: list its folder, filtered by the beginning of the last part."""

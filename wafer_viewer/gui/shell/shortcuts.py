@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.acquire import AcquirePanel
+from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_section import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
@@ -335,7 +336,7 @@ def _asking(page: Page) -> Callable[..., Callable[[], None]]:
 
 SCRIPTS = "accessible_names.js", "clicks.js", "file_dialog.js", "keyboard.js"
 """Scripts in this order: the file dialog handles its keys before the keyboard script."""
-FILE_PICKS = "file-mark", "file-open", "file-parent"
+FILE_PICKS = "file-mark", "file-open", "file-parent", "file-too-large"
 FIXED_KEYS: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
         ("Every command by name", "Ctrl + K"),
@@ -421,7 +422,8 @@ def _group(group: Group, rows: list[tuple[str, str]]) -> Markup:
 def _script() -> str:
     optional = f"window.wvOptional={json.dumps(EMPTY, ensure_ascii=False)};"
     picks = ",".join(f"'{what}':function(event){{{html.pick_script(what)}}}" for what in FILE_PICKS)
-    return "\n".join((optional, f"window.wvReport={{{picks}}};", read_static(*SCRIPTS)))
+    most = f"window.wvMostUpload={MOST_UPLOAD_BYTES};"
+    return "\n".join((optional, most, f"window.wvReport={{{picks}}};", read_static(*SCRIPTS)))
 
 
 Source = Callable[[Snapshot], Sequence[Command]]

@@ -6,6 +6,7 @@ It is stored in the browser itself. Settings of one dataset are restored for tha
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
@@ -14,7 +15,7 @@ import msgspec
 import viser
 
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.errors import WaferViewerError, parser_errors_as
 from wafer_viewer.session.state.snapshot import Fault
 
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
@@ -139,10 +140,9 @@ def _hints() -> dict[str, Any]:
 
 
 def _items(text: str) -> dict[str, Any]:
-    try:
+    with suppress(WaferViewerError), parser_errors_as(lambda _: WaferViewerError("It cannot be read.")):
         return msgspec.json.decode(text, type=dict[str, Any])
-    except (msgspec.DecodeError, msgspec.ValidationError):
-        return {}
+    return {}
 
 
 def _as(value: Any, kind: type[T]) -> T | None:

@@ -66,6 +66,14 @@ if (!window.wvFiles) {
     const row = event.target.closest?.('.wv-files [role=option]:not([aria-disabled=true])');
     if (row) open(row.closest('.wv-files'), row);
   });
+  /* A file that is too large is not read: the browser would send it, and the server close the connection. */
+  window.addEventListener('change', event => {
+    const file = event.target.matches?.('input[type=file]') && event.target.files[0];
+    if (!file || file.size <= window.wvMostUpload) return;
+    consume(event);
+    event.target.value = '';
+    tell('file-too-large', file.name);
+  }, true);
   window.addEventListener('keydown', event => {
     const list = last('.wv-files');
     if (!list || event.isComposing || event.ctrlKey || event.metaKey || event.altKey) return;

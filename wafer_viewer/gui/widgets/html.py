@@ -19,6 +19,8 @@ import viser._gui_handles
 import viser._icons
 from markupsafe import Markup
 
+from wafer_viewer.model.errors import WaferViewerError, detail, parser_errors_as
+
 _reading = threading.Lock()
 
 
@@ -88,8 +90,12 @@ def pick_script(what: str, latest_only: bool = False) -> str:
 
 
 def read_picks(text: str, after: int) -> list[tuple[int, str, str]]:
-    """Return number, subject and key of the picks that `pick_script` reported after number `after`, oldest first."""
-    return [(number, what, key) for number, what, key, _ in json.loads(text) if number > after]
+    """Return number, subject and key of the picks that `pick_script` reported after number `after`, oldest first.
+
+    Raises WaferViewerError for any other text.
+    """
+    with parser_errors_as(lambda fault: WaferViewerError(f"The browser reported no picks{detail(fault)}.")):
+        return [(number, what, key) for number, what, key, _ in json.loads(text) if number > after]
 
 
 def pick(what: str, key: object = "") -> Markup:

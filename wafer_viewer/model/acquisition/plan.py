@@ -12,11 +12,14 @@ from typing import Annotated, Literal
 import msgspec
 
 from wafer_viewer.model.acquisition.focus_following import CoarseLook
+from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 
 Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 Overlap = Annotated[float, Within(0, 0.5)]
+MOST_FIELDS = 1_000_000
+"""Most fields of a grid: plans and datasets are benchmarked up to there (tests/bench/bench_index.py)."""
 MIN_FRAMES = 3
 """Fewest frames that can hold a peak with a neighbour on either side."""
 
@@ -55,6 +58,14 @@ class FieldGrid(Spec, frozen=True, kw_only=True):
     overlap_y_fraction: Overlap = 0.1
     x0_um: float = 0.0
     y0_um: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rows * self.cols > MOST_FIELDS:
+            raise PlanError(
+                f"FieldGrid has {self.rows} rows and {self.cols} cols: a plan has at most {MOST_FIELDS} fields, "
+                "so take larger fields or several plans."
+            )
 
     @classmethod
     def covering(

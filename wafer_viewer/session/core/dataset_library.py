@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -12,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
@@ -342,10 +343,9 @@ def save_summary(result: Result, info: SurfaceInfo) -> None:
 
 def load_summary(result: Result) -> SurfaceInfo | None:
     """Return the stored summary; None if it is missing, damaged or of another version."""
-    try:
+    with suppress(DatasetError), parser_errors_as(lambda _: DatasetError(f"{SUMMARY} cannot be read.")):
         return msgspec.json.decode(verified_text(result.path / SUMMARY), type=SurfaceInfo)
-    except (DatasetError, msgspec.DecodeError, UnicodeDecodeError):
-        return None
+    return None
 
 
 def _facts_of(surface: HeightMap) -> MosaicStatistics:

@@ -13,13 +13,14 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.file_formats import READ
 from wafer_viewer.session.core.commands import query
 
@@ -297,10 +298,11 @@ class Browsing:
                 log.warning("What was taken last is not remembered: %s", fault)
 
     def _remembered(self) -> dict[str, list[str]]:
-        try:
-            return msgspec.json.decode(self._recent_file.read_bytes(), type=dict[str, list[str]])
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-            return {}
+        from wafer_viewer.store.io.guarded_reading import read_content
+
+        with suppress(DatasetError), parser_errors_as(lambda _: DatasetError("The file cannot be read.")):
+            return msgspec.json.decode(read_content(self._recent_file), type=dict[str, list[str]])
+        return {}
 
     def _recent(self, kind: FileKind) -> tuple[Path, ...]:
         name = next((name for name, known in FILE_KINDS.items() if known is kind), None)

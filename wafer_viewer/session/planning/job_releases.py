@@ -10,6 +10,7 @@ from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.state.snapshot import JobEntry
+from wafer_viewer.store.io.guarded_reading import read_content
 
 FOLDER, ENDING = "jobs", ".toml"
 OF_ONE_WAFER = {"name": "", "lot": "", "wafer_id": "", "slot": 0, "operator": ""}
@@ -144,8 +145,8 @@ def _stitching(stitching: Stitching, plan: ScanPlan, errors_um: tuple[float, flo
 def _entry(path: Path) -> JobEntry | None:
     """Return a list entry; None for a file that is no released job."""
     try:
-        job = decode(path.read_bytes(), Job, path.name)
-    except (OSError, WaferViewerError):
+        job = decode(read_content(path), Job, path.name)
+    except WaferViewerError:
         return None
     return JobEntry(path, job.product, job.revision, len(job.all_fields()), len(job.features)) if job.released else None
 

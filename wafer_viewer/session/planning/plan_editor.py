@@ -21,6 +21,7 @@ from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.core.commands import command
 from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
 from wafer_viewer.session.state.snapshot import Draft, MarkedPositions, Place, Typed
+from wafer_viewer.store.io.guarded_reading import read_content
 
 if TYPE_CHECKING:
     from wafer_viewer.acquire.coarse_look import LookForFocus
@@ -288,11 +289,7 @@ def covering_grid(grid: FieldGrid, center_um: Place, size_um: tuple[float, float
 
 def read_job(path: Path) -> Job:
     """Return the job in a PLAN.toml. Raises PlanError when it cannot be read or is invalid."""
-    try:
-        text = path.read_bytes()
-    except OSError as fault:
-        raise PlanError(f"{path} cannot be read: {(fault.strerror or str(fault)).lower()}: check the path.") from fault
-    return decode(text, Job, path.name)
+    return decode(read_content(path, PlanError), Job, path.name)
 
 
 def suggested_name(job: Job) -> str:

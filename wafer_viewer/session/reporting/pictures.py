@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ from PIL import Image
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.texture_baking import bake, light_gain
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError, detail, parser_errors_as
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.store.io.guarded_reading import require_pixels
 
 WHOLE_PX, PLACE_PX, PICTURE_PX = 1400, 320, 1600
 ROUND_A_PLACE, LEAST_UM = 0.7, 20.0
@@ -42,8 +44,13 @@ def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], lo
 
 def taken_picture(path: Path) -> str:
     """Return a stored picture of print size, reduced for reports, as a data URL."""
-    with Image.open(path) as picture:
+    with parser_errors_as(partial(_no_picture, path)), Image.open(path) as picture:
+        require_pixels(path.name, picture.height, picture.width)
         return _url(picture.convert("RGB"), PICTURE_PX)
+
+
+def _no_picture(path: Path, fault: Exception) -> DatasetError:
+    return DatasetError(f"{path} is no picture{detail(fault)}: remove it.")
 
 
 def _level(surface: Mosaic, wide_px: int, target_px: int) -> int:

@@ -11,15 +11,17 @@ import os
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import FileMark, closing_bytes, crc32c, crc_of_file, file_mark
+from wafer_viewer.store.io.guarded_reading import opened_tiff
 
 _UM_PER_CM = 1e4
 _CLOSING_BYTES = 4
@@ -199,13 +201,12 @@ def map_pages(path: Path, shape: PageShape) -> Image:
 
 def decode_pages(path: Path, shape: PageShape) -> Image:
     """Return the pages of a compressed file, decoded on all cores. Raises DatasetError when one cannot be decoded."""
-    import tifffile
-
-    try:
-        pages = tifffile.imread(path, key=range(shape.n_pages), maxworkers=os.cpu_count())
-    except Exception as fault:  # the decoders raise errors of their own kinds
-        raise DatasetError(f"{path} is damaged, a frame of it cannot be decoded: restore it from a copy.") from fault
-    pages = np.ascontiguousarray(pages, shape.dtype).reshape(shape.n_pages, shape.rows, shape.cols)
+    damaged = DatasetError(f"{path} is damaged, a frame of it cannot be decoded: restore it from a copy.")
+    with parser_errors_as(lambda _: damaged), opened_tiff(path) as file:
+        if any(page.shape != (shape.rows, shape.cols) or page.dtype != shape.dtype for page in file.pages):
+            raise damaged
+        pages = file.asarray(key=range(shape.n_pages), maxworkers=os.cpu_count())
+        pages = np.ascontiguousarray(pages, shape.dtype).reshape(shape.n_pages, shape.rows, shape.cols)
     pages.flags.writeable = False
     return pages
 
@@ -291,23 +292,16 @@ class _Layout:
 
 def _layout(path: Path, shape: PageShape) -> _Layout:
     """Return the layout of a file, after a check of the tags that rejects foreign files."""
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            first = file.pages.first
-            code = int(first.compression)
-            compression = code if code > 1 else 0
-            begin, as_expected = first.dataoffsets[0], first.shape == (shape.rows, shape.cols)
-            as_expected &= first.dtype == shape.dtype and (not compression or len(file.pages) == shape.n_pages)
-            text = first.tags.get("ImageDescription")
-            text_at, count_at = (text.valueoffset, text.offset + 4) if text is not None else (begin, 0)
-            inode = os.fstat(file.filehandle.fileno()).st_ino
-            found = _Layout(begin, compression, first.description, text_at, count_at, file.is_bigtiff, inode)
-    except FileNotFoundError as fault:
-        raise DatasetError(f"{path} is missing: restore it from a copy, or scan its field again.") from fault
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError) as fault:
-        raise DatasetError(f"{path} cannot be read as a TIFF file: restore it from a copy.") from fault
+    with parser_errors_as(partial(_unreadable, path)), opened_tiff(path) as file:
+        first = file.pages.first
+        code = int(first.compression)
+        compression = code if code > 1 else 0
+        begin, as_expected = first.dataoffsets[0], first.shape == (shape.rows, shape.cols)
+        as_expected &= first.dtype == shape.dtype and (not compression or len(file.pages) == shape.n_pages)
+        text = first.tags.get("ImageDescription")
+        text_at, count_at = (text.valueoffset, text.offset + 4) if text is not None else (begin, 0)
+        inode = os.fstat(file.filehandle.fileno()).st_ino
+        found = _Layout(begin, compression, first.description, text_at, count_at, file.is_bigtiff, inode)
     short = not found.compression and path.stat().st_size < begin + shape.n_pages * shape.page_bytes
     if not as_expected or short:
         raise DatasetError(
@@ -315,6 +309,12 @@ def _layout(path: Path, shape: PageShape) -> _Layout:
             f"with {shape.bits} bits, as scan.json says: restore it from a copy."
         )
     return found
+
+
+def _unreadable(path: Path, fault: Exception) -> DatasetError:
+    if isinstance(fault, FileNotFoundError):
+        return DatasetError(f"{path} is missing: restore it from a copy, or scan its field again.")
+    return DatasetError(f"{path} cannot be read as a TIFF file: restore it from a copy.")
 
 
 def _allocate(path: Path) -> None:

@@ -7,7 +7,9 @@ sorted in natural order: 2 before 10.
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,8 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
 from wafer_viewer.store.io.atomic_files import natural_sort_key
+from wafer_viewer.store.io.guarded_reading import (
+    MEND,
+    MOST_PAGES,
+    limit,
+    opened_tiff,
+    read_content,
+    require_pixels,
+    tiff_page,
+)
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in luminance, ITU-R BT.709."""
@@ -66,10 +77,9 @@ def image_files(src: Paths) -> list[Path]:
 
 def damaged(name: str, fault: Exception | None = None) -> DatasetError:
     """Return the error for a file that is truncated or not an image."""
-    detail = f" ({str(fault).splitlines()[0].rstrip('.')})" if fault is not None and str(fault) else ""
+    why = "" if fault is None else detail(fault)
     return DatasetError(
-        f"Import stopped at {name}: it is damaged, or not an image{detail}. {NOTHING_WRITTEN} "
-        "Remove it or copy it again."
+        f"Import stopped at {name}: it is damaged, or not an image{why}. {NOTHING_WRITTEN} Remove it or copy it again."
     )
 
 
@@ -94,41 +104,41 @@ def pictures_of(path: Path) -> list[ImageFile]:
 
 
 def _page_count(path: Path) -> int:
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            return len(file.pages)
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError) as fault:
-        raise damaged(path.name, fault) from fault
+    with parser_errors_as(partial(damaged, path.name)), opened_tiff(path) as file:
+        n_pages = len(file.pages)
+        if n_pages > limit(MOST_PAGES):
+            raise DatasetError(
+                f"Import stopped at {path.name}: it has {n_pages} pages, more than {limit(MOST_PAGES)}. "
+                f"{NOTHING_WRITTEN} Split it, or {MEND}."
+            )
+        return n_pages
 
 
 def _read_page(path: Path, page: int, name: str) -> Image:
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            one: Any = file.pages[page]
-            if one.photometric not in _PLAIN_PHOTOMETRICS:
-                return as_grey(_read_with_pillow(path, page), name)
-            values, color_first = one.asarray(), one.axes.startswith("S")
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError, RuntimeError) as fault:
-        raise damaged(name, fault) from fault
-    return as_grey(np.moveaxis(values, 0, -1) if color_first else values, name)
+    with parser_errors_as(partial(damaged, name)), opened_tiff(path) as file:
+        one = tiff_page(file, page, name)
+        if one.photometric not in _PLAIN_PHOTOMETRICS:
+            return as_grey(_read_with_pillow(path, page), name)
+        values, color_first = one.asarray(), one.axes.startswith("S")
+        return as_grey(np.moveaxis(values, 0, -1) if color_first else values, name)
 
 
 def _read_file(path: Path) -> Image:
-    try:
+    with parser_errors_as(partial(damaged, path.name)):
         return as_grey(READERS[path.suffix.lower()](path), path.name)
-    except (OSError, ValueError, RuntimeError, SyntaxError) as fault:
-        raise damaged(path.name, fault) from fault
 
 
 def _read_png(path: Path) -> NDArray[Any]:
     """Read a PNG with imagecodecs, because Pillow reduces 16-bit colour PNG to 8 bits."""
     import imagecodecs
 
-    return imagecodecs.png_decode(path.read_bytes())
+    content = read_content(path)
+    require_pixels(path.name, *_PNG_SIZE.unpack_from(content)[::-1])
+    return imagecodecs.png_decode(content)
+
+
+_PNG_SIZE = struct.Struct(">16xII")
+"""Columns and rows in the header of a PNG."""
 
 
 def _read_with_pillow(path: Path, page: int = 0) -> NDArray[Any]:
@@ -137,6 +147,7 @@ def _read_with_pillow(path: Path, page: int = 0) -> NDArray[Any]:
 
     with PIL.Image.open(path) as image:
         image.seek(page)
+        require_pixels(path.name, image.height, image.width)
         grey = image.mode in ("L", "I;16", "I;16B", "I;16L")
         return np.asarray(image if grey else image.convert("RGB"))
 
@@ -174,7 +185,14 @@ def as_grey(values: NDArray[Any], name: str) -> Image:
         return np.ascontiguousarray(native)
     if native.shape[2] < 3:
         return np.ascontiguousarray(native[:, :, 0])
-    return np.rint(native[:, :, :3] @ REC_709).astype(native.dtype)
+    grey = np.empty(native.shape[:2], native.dtype)
+    for top in range(0, len(grey), _ROWS_AT_A_TIME):  # products in double precision take eight bytes per pixel
+        rows = slice(top, top + _ROWS_AT_A_TIME)
+        grey[rows] = np.rint(native[rows, :, :3] @ REC_709)
+    return grey
+
+
+_ROWS_AT_A_TIME = 256
 
 
 def _endings() -> str:
@@ -201,11 +219,10 @@ def preview(path: Path) -> bytes:
     path : Path
         An image, a multi-page TIFF, a folder of images, or a dataset NAME.wafer.
     """
-    try:
-        image = _image_of(path)
-    except (WaferViewerError, OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, EOFError):
-        return b""
-    return b"" if image is None else _jpeg(image)
+    with suppress(DatasetError), parser_errors_as(partial(damaged, path.name)):
+        if (image := _image_of(path)) is not None:
+            return _jpeg(image)
+    return b""
 
 
 def _image_of(path: Path) -> NDArray[Any] | None:
@@ -225,12 +242,10 @@ def _image_of(path: Path) -> NDArray[Any] | None:
 
 
 def _middle_page(path: Path) -> NDArray[Any] | None:
-    import tifffile
-
     if path.stat().st_size > MAX_TIFF_BYTES:
         return None
-    with tifffile.TiffFile(path) as file:
-        page: Any = file.pages[len(file.pages) // 2]
+    with opened_tiff(path) as file:
+        page = tiff_page(file, len(file.pages) // 2, path.name)
         if page.imagewidth * page.imagelength > MAX_PIXELS:
             return None
         values = np.asarray(page.asarray())

@@ -6,7 +6,7 @@ the bytes that it was made from, by their checksum.
 
 from __future__ import annotations
 
-import zipfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,24 +16,14 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset.frame_lines import ROW, FrameTable
 from wafer_viewer.store.dataset.scan_record import Line
-from wafer_viewer.store.formats.npz_file import map_member
+from wafer_viewer.store.io.archives import open_archive
 from wafer_viewer.store.io.atomic_files import atomic_write
-from wafer_viewer.store.io.checksums import crc_of_file, require_good_archive, seal_archive
+from wafer_viewer.store.io.checksums import crc_of_file, seal_archive
 
 INDEX = "journal.index.npz"
 LONG_LINES = 100_000
 """New lines from which an index is worth its file: they take 0.2 s to decode (tests/bench/bench_index.py)."""
 _LINES = msgspec.json.Decoder(list[Line])
-_UNREADABLE = (
-    OSError,
-    KeyError,
-    ValueError,
-    EOFError,
-    TypeError,
-    zipfile.BadZipFile,
-    msgspec.DecodeError,
-    DatasetError,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,17 +52,11 @@ class JournalIndex:
     def read(cls, journal: Path) -> JournalIndex | None:
         """Read the index of a journal; None if there is none, or if it is damaged or of another journal."""
         path = journal.with_name(INDEX)
-        if not path.exists():
-            return None
-        try:
-            require_good_archive(path)
-            with np.load(path) as members:
-                n_bytes, n_lines, ended, crc = members["head"].tolist()
-                others = tuple(_LINES.decode(members["others"].tobytes()))
-            if journal.stat().st_size < n_bytes or crc_of_file(journal, n_bytes) != crc:
-                return None
-            with zipfile.ZipFile(path) as archive, path.open("rb") as file:
-                rows = map_member(path, file, archive.getinfo("rows.npy"))
-        except _UNREADABLE:
-            return None
-        return cls(n_bytes, n_lines, bool(ended), others, FrameTable(rows)) if rows.dtype == ROW else None
+        unreadable = DatasetError(f"{path} cannot be read.")
+        with suppress(DatasetError), open_archive(path, lambda _: unreadable) as archive:
+            n_bytes, n_lines, ended, crc = archive.array("head").tolist()
+            others = tuple(_LINES.decode(archive.array("others").tobytes()))
+            rows = archive.mapped("rows")
+            if rows.dtype == ROW and journal.stat().st_size >= n_bytes and crc_of_file(journal, n_bytes) == crc:
+                return cls(n_bytes, n_lines, bool(ended), others, FrameTable(rows))
+        return None

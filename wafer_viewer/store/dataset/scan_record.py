@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -18,12 +19,13 @@ from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.plan import Axis, Field, ScanPlan, Shot
 from wafer_viewer.model.acquisition.positioners import PositionerReading
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.dataset.frame_pages import PageShape
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import (
+    MOST_RECORD_BYTES,
     Checksum,
     FileMark,
     damaged,
@@ -36,6 +38,7 @@ from wafer_viewer.store.io.checksums import (
     strip_checksum,
     text_state,
 )
+from wafer_viewer.store.io.guarded_reading import read_content
 
 SCHEMA_VERSION, COMPRESSED_VERSION = 1, 2
 """Format of a dataset as it is scanned, and of one with compressed frame files, which older programs cannot read."""
@@ -180,12 +183,9 @@ def with_version(text: bytes, version: int) -> bytes:
 def _record_text(folder: Path) -> bytes:
     if not folder.exists():
         raise DatasetError(f"{folder} does not exist: check the path.")
-    try:
-        return (folder / RECORD).read_bytes()
-    except (FileNotFoundError, NotADirectoryError) as fault:
-        raise DatasetError(f"{folder} is not a dataset, it has no {RECORD}: import images into one first.") from fault
-    except OSError as fault:
-        raise DatasetError(f"{folder / RECORD} cannot be read: {fault.strerror}.") from fault
+    if not (folder / RECORD).is_file():
+        raise DatasetError(f"{folder} is not a dataset, it has no {RECORD}: import images into one first.")
+    return read_content(folder / RECORD, most=MOST_RECORD_BYTES)
 
 
 class _Version(msgspec.Struct):
@@ -194,10 +194,9 @@ class _Version(msgspec.Struct):
 
 def _schema_version(text: bytes) -> int:
     """Return the format version, so that a newer format is not reported as damage; 0 if unreadable."""
-    try:
+    with suppress(DatasetError), parser_errors_as(lambda _: DatasetError("The version cannot be read.")):
         return msgspec.json.decode(text, type=_Version).schema_version
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        return 0
+    return 0
 
 
 class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=True):
@@ -285,7 +284,7 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
 
 Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
 _DECODER = msgspec.json.Decoder(Line)
-_DAMAGE = (msgspec.DecodeError, ValueError)
+_DAMAGE = (msgspec.DecodeError, ValueError, RecursionError)
 _LARGE_BYTES = 1 << 22
 """Size from which a record takes 50 ms and more to decode."""
 _BATCH_BYTES = 1 << 24

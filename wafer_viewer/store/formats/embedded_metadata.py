@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import datetime
 import json
+from contextlib import suppress
 from typing import Any
 
 import msgspec
 
-from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Provenance
 from wafer_viewer.store.formats.surface_strips import Strips
@@ -85,9 +86,9 @@ def about(strips: Strips) -> str:
 
 def parse_metadata(text: str | None) -> EmbeddedMetadata | None:
     """Parse the machine-readable text; None if there is none or it is of an incompatible version."""
-    try:
+    foreign = DatasetError(f"{OURS} has another form.")
+    with suppress(WaferViewerError), parser_errors_as(lambda _: foreign):
         facts: Any = json.loads(text or "")
         provenance = decode(json.dumps(facts["provenance"]), Provenance, OURS, "json")
         return msgspec.convert({**facts, "provenance": provenance}, EmbeddedMetadata)
-    except (ValueError, KeyError, TypeError, WaferViewerError):
-        return None
+    return None

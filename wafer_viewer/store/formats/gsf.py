@@ -77,7 +77,7 @@ def _read_header(path: Path, options: ReadOptions) -> tuple[dict[str, str], int]
     for line in content[len(MAGIC) : end].decode("utf-8", "replace").splitlines():
         name, _, value = (part.strip() for part in line.partition("="))
         if header.get(name, value) != value:
-            raise options.refuse(f"states {name} twice, {header[name]} and {value}: remove the wrong line.")
+            raise options.refuse(f"states {name} twice, {header[name][:80]} and {value[:80]}: remove the wrong line.")
         header[name] = value
     return header, end + 4 - end % 4
 

@@ -16,7 +16,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, title
 from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only, require_some, scaled
@@ -24,6 +24,8 @@ from wafer_viewer.store.formats.surface_strips import Strips
 
 MAGIC = b"GWYP"
 _DEEPEST = 16
+_MOST_COMPONENTS = 100_000
+"""Components and texts of a file; Gwyddion writes a few hundred, and each takes a microsecond."""
 _SIZES = {"b": 1, "c": 1, "i": 4, "q": 8, "d": 8}
 _FORMS = {"b": "<?", "c": "<c", "i": "<i", "q": "<q", "d": "<d"}
 _ARRAYS = {"C": "u1", "I": "<i4", "Q": "<i8", "D": "<f8"}
@@ -39,7 +41,7 @@ class _Parser:
     """Component parser; arrays are views of the file. Raises ValueError or struct.error when it ends too early."""
 
     def __init__(self, content: NDArray[np.uint8]) -> None:
-        self._content, self._position = content, len(MAGIC)
+        self._content, self._position, self._n_texts = content, len(MAGIC), 0
 
     def container(self) -> Tree:
         """Return the container of the file."""
@@ -77,6 +79,9 @@ class _Parser:
         raise ValueError(f"a component is of an unknown kind {kind!r}")
 
     def _text(self) -> str:
+        self._n_texts += 1
+        if self._n_texts > _MOST_COMPONENTS:
+            raise ValueError("it has too many components")
         end = self._position
         while not (ends := np.flatnonzero(self._content[end : end + 256] == 0)).size:
             end += 256
@@ -170,10 +175,9 @@ def read_gwy(path: Path, options: ReadOptions) -> HeightMap:
         is_gwy = file.read(len(MAGIC)) == MAGIC
     if not is_gwy:
         raise options.refuse("is not a GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
-    try:
+    damaged = options.refuse("is cut off or damaged: copy it again, or save it again in Gwyddion.")
+    with parser_errors_as(lambda _: damaged):
         tree = parsed(np.memmap(path, np.uint8, "r"))
-    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as fault:
-        raise options.refuse("is cut off or damaged: copy it again, or save it again in Gwyddion.") from fault
     channels = {int(key.split("/")[1]): tree[key] for key in tree if _is_channel(key, tree[key])}
     titles = {tree.get(f"/{n}/data/title"): n for n in channels}
     number = titles.get(CHANNELS[0].title, next((n for n in sorted(channels) if _is_length(channels[n])), None))

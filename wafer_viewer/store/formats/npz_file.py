@@ -6,19 +6,19 @@ for a field also refused_at, refused_z_um, refused_reason [n]; pixel_um, x0_um, 
 
 from __future__ import annotations
 
-import struct
 import zipfile
+from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance, RefusedHeights
-from wafer_viewer.store.io.checksums import SURFACES, remedy, require_good_archive, seal_archive
+from wafer_viewer.store.io.archives import Archive, open_archive
+from wafer_viewer.store.io.checksums import SURFACES, remedy, seal_archive
 
 if TYPE_CHECKING:
     from wafer_viewer.store.formats.reader_support import ReadOptions
@@ -32,8 +32,6 @@ THINNED = ("u_um",)
 REFUSED = {"at": "refused_at", "z_um": "refused_z_um", "reason": "refused_reason"}
 """Attributes of `RefusedHeights` and their keys; older files have none of them."""
 PLACE = ("pixel_um", "x0_um", "y0_um")
-_LOCAL_HEADER = struct.Struct("<26xHH")
-"""End of the local header of a zip member: lengths of its name and of its extra field."""
 
 
 def write_npz(surface: HeightMap, path: Path) -> None:
@@ -108,57 +106,31 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
     Compressed layers cannot be mapped and are read into memory.
     """
     place = Path(path)
-    try:
-        if verify:
-            require_good_archive(place)
-        with zipfile.ZipFile(place) as archive, place.open("rb") as file:
-            names = (*LAYERS, *(name for name in OPTIONAL if f"{name}.npy" in archive.namelist()))
-            layers = {name: map_member(place, file, archive.getinfo(f"{name}.npy")) for name in names}
-            refused = _read_refused(place, file, archive)
-        with np.load(place) as members:
-            where: dict[str, Any] = {name: float(members[name]) for name in PLACE}
-            provenance = decode(str(members["provenance"]), Provenance, place.name, "json")
-    except FileNotFoundError as fault:
-        raise DatasetError(f"{place} does not exist: check the path.") from fault
-    except KeyError as fault:
-        raise DatasetError(
-            f"{place} is not a height map, {fault.args[0]}: give a file that Wafer Viewer wrote."
-        ) from fault
-    except (zipfile.BadZipFile, ValueError, OSError, struct.error) as fault:
-        mend = remedy(place) if place.parent.name == SURFACES else "give a file that Wafer Viewer wrote"
-        raise DatasetError(f"{place} cannot be read as .npz: {mend}.") from fault
-    try:
-        return HeightMap(**layers, **where, provenance=provenance, refused=refused)
-    except WaferViewerError as fault:
-        raise DatasetError(f"{place}: {fault}") from fault
+    with open_archive(place, partial(_unreadable, place), verify=verify) as archive:
+        names = (*LAYERS, *(name for name in OPTIONAL if name in archive))
+        layers = {name: archive.mapped(name) for name in names}
+        where: dict[str, Any] = {name: archive.number(name) for name in PLACE}
+        provenance = decode(archive.text("provenance"), Provenance, place.name, "json")
+        refused = _read_refused(archive)
+        try:
+            return HeightMap(**layers, **where, provenance=provenance, refused=refused)
+        except WaferViewerError as fault:
+            raise DatasetError(f"{place}: {fault}") from fault
 
 
-def _read_refused(path: Path, file: IO[bytes], archive: zipfile.ZipFile) -> RefusedHeights | None:
+def _unreadable(path: Path, fault: Exception) -> DatasetError:
+    match fault:
+        case FileNotFoundError():
+            return DatasetError(f"{path} does not exist: check the path.")
+        case KeyError():
+            return DatasetError(f"{path} is not a height map, it has no {fault}: give a file that Wafer Viewer wrote.")
+        case _:
+            mend = remedy(path) if path.parent.name == SURFACES else "give a file that Wafer Viewer wrote"
+            return DatasetError(f"{path} cannot be read as .npz: {mend}.")
+
+
+def _read_refused(archive: Archive) -> RefusedHeights | None:
     """Read the refused heights; None in older files without them."""
-    if f"{REFUSED['at']}.npy" not in archive.namelist():
+    if REFUSED["at"] not in archive:
         return None
-    arrays = {name: map_member(path, file, archive.getinfo(f"{key}.npy")) for name, key in REFUSED.items()}
-    return RefusedHeights(**arrays)
-
-
-def map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray[Any]:
-    """Map one uncompressed array of the archive; a compressed one is read."""
-    if member.compress_type != zipfile.ZIP_STORED:
-        with np.load(path) as members:
-            return members[member.filename.removesuffix(".npy")]
-    file.seek(member.header_offset)
-    name_bytes, extra_bytes = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
-    file.seek(name_bytes + extra_bytes, 1)
-    shape, fortran, dtype = _array_header(file)
-    if shape == (0,):
-        return np.empty(0, dtype)
-    if 0 in shape or fortran:
-        raise ValueError(f"{member.filename} has an unusual layout")
-    return np.asarray(np.memmap(path, dtype, "c", file.tell(), shape))
-
-
-def _array_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read shape, Fortran order and dtype from the header of an array."""
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(file)
+    return RefusedHeights(**{name: archive.mapped(key) for name, key in REFUSED.items()})

@@ -21,6 +21,7 @@ from wafer_viewer.store.formats.point_gridding import (
     count,
     points_of,
     records,
+    require_points,
     surface_of_points,
     text_records,
     units_of,
@@ -65,9 +66,8 @@ def read_pcd(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PCD file."""
     head = _head(path, options)
     about = parse_metadata(head.comments.get(OURS))
-    points = PointCloud(
-        lambda: _blocks(path, head, options), units_of(head.comments.get("unit"), about, options), about
-    )
+    units = units_of(head.comments.get("unit"), about, options)
+    points = PointCloud(lambda: _blocks(path, head, options), units, about, head.n_points)
     return surface_of_points(points, options)
 
 
@@ -105,6 +105,7 @@ def _head(path: Path, options: ReadOptions) -> _Head:
     for axis in "xyz":
         if axis not in names:
             raise options.refuse(f"has no {axis} among its fields: write it with x, y and z.")
+    require_points(path, int(header["POINTS"][0]), options)
     fields = {name: f"<{_KINDS[kind]}{size}" for name, kind, size in zip(names, kinds, sizes, strict=True)}
     corner = [float(number) for number in comments.get("corner", "0 0").split()] if OURS in comments else [0.0, 0.0]
     return _Head(header["DATA"][0], int(header["POINTS"][0]), fields, comments, (corner[0], corner[1]), begin)

@@ -21,6 +21,7 @@ from wafer_viewer.store.formats.point_gridding import (
     eight_bits,
     points_of,
     records,
+    require_points,
     surface_of_points,
     text_records,
     units_of,
@@ -77,9 +78,8 @@ def read_ply(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PLY file, or by the vertices of a mesh."""
     head = _head(path, options)
     about = parse_metadata(head.comments.get(OURS))
-    points = PointCloud(
-        lambda: _blocks(path, head, options), units_of(head.comments.get("unit"), about, options), about
-    )
+    units = units_of(head.comments.get("unit"), about, options)
+    points = PointCloud(lambda: _blocks(path, head, options), units, about, head.n_points)
     return surface_of_points(points, options)
 
 
@@ -120,6 +120,7 @@ def _head(path: Path, options: ReadOptions) -> _Head:
     for axis in "xyz":
         if axis not in fields:
             raise options.refuse(f"has no {axis} among the properties of its points: write it with x, y and z.")
+    require_points(path, int(n_points), options)
     return _Head(order, int(n_points), fields, comments, len(text) + len(end))
 
 

@@ -19,6 +19,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.store.formats.embedded_metadata import EmbeddedMetadata
 from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only
 from wafer_viewer.store.formats.surface_strips import Strips
+from wafer_viewer.store.io.guarded_reading import limit
 
 Block = dict[str, NDArray[Any]]
 """Points by column name: x, y, z, and further columns."""
@@ -26,6 +27,9 @@ Blocks = Callable[[], Iterator[Block]]
 MOST_LINES = 2_000_000
 """Points with more distinct x or y values than this are not on a lattice."""
 MOST_PIXELS = 400_000_000
+FREE_PIXELS = 4_000_000
+LEAST_FILLED = 1e-3
+"""Least fraction of pixels with a point, above `FREE_PIXELS`: one stray point would take the memory of a wafer."""
 _OFF = 0.1
 """Largest distance of a lattice point from its pixel centre, in pixels."""
 _SPARSE = 0.02
@@ -53,6 +57,8 @@ class PointCloud:
     blocks: Blocks
     unit_um: tuple[float, float, float]
     about: EmbeddedMetadata | None = None
+    most_points: int = MOST_PIXELS
+    """Points that the file can hold at most, by its size."""
 
 
 def surface_of_points(points: PointCloud, options: ReadOptions) -> HeightMap:
@@ -61,12 +67,12 @@ def surface_of_points(points: PointCloud, options: ReadOptions) -> HeightMap:
     about = points.about
     if about is not None:
         lattice = PointLattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
-        _require_room(lattice, options)
+        _require_room(lattice, points, options)
         if (surface := _assign_to_lattice(points, lattice, options)) is not None:
             return surface
     lattice = _detect_lattice(points, options)
     if lattice is not None and (requested_um is None or abs(requested_um / lattice.pixel_um - 1) < _UNEVEN):
-        _require_room(lattice, options)
+        _require_room(lattice, points, options)
         if (surface := _assign_to_lattice(points, lattice, options)) is not None:
             return surface
     if requested_um is None:
@@ -156,14 +162,16 @@ def _gridded(points: PointCloud, pixel_um: float, options: ReadOptions) -> Heigh
         raise options.refuse("contains no heights: export it again from a measured surface.")
     cols, rows = (int(n) for n in np.floor((high - low) / pixel_um + 0.5) + 1)
     lattice = PointLattice(pixel_um, float(low[0]), float(high[1]), rows, cols)
-    _require_room(lattice, options)
-    sums, counts = np.zeros(rows * cols), np.zeros(rows * cols)
+    _require_room(lattice, points, options)
+    sums, counts = np.zeros(rows * cols), np.zeros(rows * cols, np.uint32)
     for block in points.blocks():
         x_um, y_um, z_um = _um(block, points)
         col, row = (np.floor(d / pixel_um + 0.5).astype(np.int64) for d in (x_um - low[0], high[1] - y_um))
-        sums += np.bincount(row * cols + col, z_um, rows * cols)
-        counts += np.bincount(row * cols + col, minlength=rows * cols)
-    z_um = np.divide(sums, counts, out=np.full(rows * cols, np.nan), where=counts > 0).astype(np.float32)
+        pixels, which = np.unique(row * cols + col, return_inverse=True)  # time and memory go with the points
+        sums[pixels] += np.bincount(which, z_um, len(pixels))
+        counts[pixels] += np.bincount(which, minlength=len(pixels)).astype(np.uint32)
+    z_um = np.full(rows * cols, np.nan, np.float32)
+    np.divide(sums, counts, out=z_um, where=counts > 0, casting="unsafe")
     options.notes.append(f"Its points were gridded on {pixel_um:g} um: each pixel is the mean of those in it.")
     return heights_only(options, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
 
@@ -206,10 +214,12 @@ def _pitch(values: Floats) -> tuple[float, int] | None:
     return (pitch, int(index[-1]) + 1) if off <= _OFF * pitch else None
 
 
-def _require_room(lattice: PointLattice, options: ReadOptions) -> None:
-    if lattice.rows * lattice.cols > MOST_PIXELS:
+def _require_room(lattice: PointLattice, points: PointCloud, options: ReadOptions) -> None:
+    n_pixels = lattice.rows * lattice.cols
+    if n_pixels > min(limit(MOST_PIXELS), limit(max(FREE_PIXELS, round(points.most_points / LEAST_FILLED)))):
         raise options.refuse(
-            f"would have {lattice.rows} x {lattice.cols} pixels of {lattice.pixel_um:g} um: give a larger --pixel-um."
+            f"would have {lattice.rows} x {lattice.cols} pixels of {lattice.pixel_um:g} um, too many for its points: "
+            "give a larger --pixel-um, or take out points far from the others."
         )
 
 
@@ -251,6 +261,12 @@ def units_of(
     z_um = options.z_scale_um(unit)
     lateral_um = UNITS_UM[(unit or options.overrides.z_unit or "").strip().lower()]
     return lateral_um, lateral_um, z_um
+
+
+def require_points(path: Path, n_points: int, options: ReadOptions) -> None:
+    """Raise DatasetError when a header states more points than the file has bytes."""
+    if n_points > path.stat().st_size:
+        raise options.refuse(_CUT_OFF)
 
 
 def records(

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-import tokenize
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.file_formats import BY_SUFFIX, READ, with_suffixes
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -19,10 +17,6 @@ from wafer_viewer.store.formats.reader_support import ReadOptions
 __all__ = ["is_surface_file", "read_surface"]
 
 Reader = Callable[[Path, ReadOptions], HeightMap]
-
-
-DAMAGE = (OSError, ValueError, OverflowError, SyntaxError, KeyError, TypeError, struct.error, tokenize.TokenError)
-"""Exceptions that libraries raise for damage that no reader checks for."""
 
 
 @with_suffixes
@@ -84,11 +78,10 @@ def read_surface(
         place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop
     )
     _require_file(place, options)
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond the range of heights are invalid
-            return read(place, options)
-    except DAMAGE as fault:
-        raise options.refuse("cannot be read, it is damaged: copy it again.") from fault
+    damaged = options.refuse("cannot be read, it is damaged: copy it again.")
+    # numbers beyond the range of heights are invalid
+    with parser_errors_as(lambda _: damaged), np.errstate(over="ignore", invalid="ignore"):
+        return read(place, options)
 
 
 def is_surface_file(path: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
@@ -17,6 +18,9 @@ from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _BYTES_AT_A_TIME = 16_000_000
+_LARGEST_HEADER = 16_000_000
+_LEAST_POINT_BYTES = 6
+"""Bytes of the shortest line: three digits, two delimiters and the line feed."""
 _COLUMN = re.compile(r"^([a-z ]+?)(?:[_\s/]*[\[(]?\s*([a-zµμ]+)\s*[\])]?)?$", re.IGNORECASE)
 _AXES = {"x": "x", "y": "y", "z": "z", "height": "z", "depth": "depth", "origin": "origin"}
 _DELIMITERS = (",", ";", "\t", " ")
@@ -35,7 +39,8 @@ def write_xyz(strips: Strips, path: Path) -> None:
 def read_table(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a table; x, y, z by name or as the first three columns."""
     head = _head(path, options)
-    points = PointCloud(lambda: _blocks(path, head, options), _units(head, options), head.about)
+    most_points = path.stat().st_size // _LEAST_POINT_BYTES
+    points = PointCloud(lambda: _blocks(path, head, options), _units(head, options), head.about, most_points)
     return surface_of_points(points, options)
 
 
@@ -74,18 +79,18 @@ class _Head:
 
 
 def _head(path: Path, options: ReadOptions) -> _Head:
-    comments, begin = dict[str, str](), 0
+    parts, begin = defaultdict[str, list[str]](list), 0
     with path.open("rb") as file:
-        for raw in file:
+        while begin < _LARGEST_HEADER and (raw := file.readline(_LARGEST_HEADER)):
             line = raw.decode("utf-8-sig" if begin == 0 else "utf-8", "replace").strip()
             if line and not line.startswith("#"):
                 break
             begin += len(raw)
             name, _, value = line.lstrip("# ").partition(":")
-            key = name.strip().lower()
-            comments[key] = comments.get(key, "") + value.strip()
+            parts[name.strip().lower()].append(value.strip())
         else:
             raise options.refuse("holds no points: give a table with the columns x, y and z.")
+    comments = {name: "".join(values) for name, values in parts.items()}
     delimiter = next((d for d in _DELIMITERS if d in line), " ")
     cells = line.split(delimiter if delimiter != " " else None)
     columns, units = _names(cells, options)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import about, parse_metadata
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, same, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
+from wafer_viewer.store.io.guarded_reading import opened_tiff, require_unpacked
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
@@ -47,17 +50,14 @@ def write_tiff(strips: Strips, path: Path) -> None:
 
 def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
     """Read the heights of a float TIFF. Raises DatasetError for integers, colour, or missing units."""
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            page, n_pages = file.pages.first, len(file.pages)
-            _require_heights(page, options)
-            raw: NDArray[Any] = page.asarray(out="memmap")
-            facts, lateral_um = _facts(page), _lateral_um(file, options)
-            no_data = page.tags.get(_NO_DATA)
-    except (tifffile.TiffFileError, ValueError, IndexError, KeyError) as fault:
-        raise options.refuse("cannot be read as TIFF, it is damaged or cut off: copy it again.") from fault
+    damaged = options.refuse("cannot be read as TIFF, it is damaged or cut off: copy it again.")
+    with parser_errors_as(lambda _: damaged), opened_tiff(path) as file:
+        page, n_pages = file.pages.first, len(file.pages)
+        _require_heights(page, options)
+        require_unpacked(path.name, path.stat().st_size, page.nbytes)
+        raw: NDArray[Any] = page.asarray(out="memmap")
+        facts, lateral_um = _facts(page), _lateral_um(file, options)
+        no_data = page.tags.get(_NO_DATA)
     if n_pages > 1:
         options.notes.append(f"Its first page was read, of {n_pages}.")
     options.require_heights_up(str(facts.get("quantity", facts.get("kind", ""))))
@@ -87,14 +87,11 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
 
 def is_heights(path: Path) -> bool:
     """Return whether a TIFF holds floats, hence heights and not the images of a focus stack."""
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            dtype = file.pages.first.dtype
-            return dtype is not None and dtype.kind == "f"
-    except (tifffile.TiffFileError, ValueError, IndexError, KeyError, OSError):
-        return False
+    damaged = DatasetError(f"{path} cannot be read.")
+    with suppress(DatasetError), parser_errors_as(lambda _: damaged), opened_tiff(path) as file:
+        dtype = file.pages.first.dtype
+        return dtype is not None and dtype.kind == "f"
+    return False
 
 
 def _require_heights(page: TiffPage, options: ReadOptions) -> None:

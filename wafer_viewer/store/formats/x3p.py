@@ -10,7 +10,6 @@ from __future__ import annotations
 import datetime
 import hashlib
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -18,10 +17,12 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.errors import parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import about, caveats, parse_metadata
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
+from wafer_viewer.store.io.guarded_reading import require_unpacked
 
 MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
 REVISION = "ISO5436 - 2000"
@@ -47,11 +48,10 @@ def write_x3p(strips: Strips, path: Path) -> None:
 
 def read_x3p(path: Path, options: ReadOptions) -> HeightMap:
     """Read the heights of an X3P file. Raises DatasetError when damaged, or not one surface on a grid."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return _read(archive, _main_of(archive, options), options)
-    except (zipfile.BadZipFile, EOFError, zlib.error, NotImplementedError) as fault:
-        raise options.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.") from fault
+    damaged = options.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.")
+    with parser_errors_as(lambda _: damaged), zipfile.ZipFile(path) as archive:
+        require_unpacked(path.name, path.stat().st_size, sum(member.file_size for member in archive.infolist()))
+        return _read(archive, _main_of(archive, options), options)
 
 
 def _read(archive: zipfile.ZipFile, main: ElementTree.Element, options: ReadOptions) -> HeightMap:
@@ -136,12 +136,11 @@ def _main_of(archive: zipfile.ZipFile, options: ReadOptions) -> ElementTree.Elem
             MAIN,
             options,
         )
-    try:
-        if b"<!DOCTYPE" in text:
-            raise options.refuse(f"has a document type in its {MAIN}, which X3P does not allow: export it again.")
+    if b"<!DOCTYPE" in text or b"<\0!\0D\0" in text or b"\0<\0!\0D" in text:  # also in UTF-16
+        raise options.refuse(f"has a document type in its {MAIN}, which X3P does not allow: export it again.")
+    damaged = options.refuse(f"is damaged: its {MAIN} cannot be read, so copy it again.")
+    with parser_errors_as(lambda _: damaged):
         root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as fault:
-        raise options.refuse(f"is damaged: its {MAIN} cannot be read, so copy it again.") from fault
     if (kind := _text(root, "Record1/FeatureType")) != "SUR":
         raise options.refuse(f"holds '{kind}' and no surface (SUR): give a file with a surface.")
     return root

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import zipfile
 from collections.abc import Hashable, Sequence
 from enum import Enum
 from pathlib import Path
@@ -21,12 +22,15 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
 from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
+from wafer_viewer.store.io.guarded_reading import read_content
 
 SURFACES = "surfaces"
 """Folder of the field surfaces in a result."""
+MOST_RECORD_BYTES = 2_000_000_000
+"""Largest JSON text of a dataset: ten times the record of a scan of a million fields."""
 _KEY = b'"crc32c":'
 _NEARLY_KEY = re.compile(b"|".join(_KEY[:i] + b"." + _KEY[i + 1 :] for i in range(len(_KEY))), re.DOTALL)
 """The key with any one byte damaged."""
@@ -181,10 +185,7 @@ _good_archives = KnownGood()
 
 def verified_text(path: Path) -> bytes:
     """Return the JSON text of a file without its checksum. Raises DatasetError if unreadable or damaged."""
-    try:
-        content = path.read_bytes()
-    except OSError as fault:
-        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    content = read_content(path, most=MOST_RECORD_BYTES)
     if text_state(content) is Checksum.DAMAGED:
         raise damaged(path)
     return strip_checksum(content)
@@ -192,10 +193,8 @@ def verified_text(path: Path) -> bytes:
 
 def require_json(content: bytes, name: str) -> None:
     """Raise DatasetError for anything that is not JSON."""
-    try:
+    with parser_errors_as(lambda fault: DatasetError(f"{name} is not JSON{detail(fault)}: restore it from a copy.")):
         msgspec.json.decode(content)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as fault:
-        raise DatasetError(f"{name} is not JSON ({fault}): restore it from a copy.") from fault
 
 
 # ------------------------------------------------------------------------------------------------ archives
@@ -233,13 +232,36 @@ def archive_state(path: Path) -> Checksum:
 
 
 def require_good_archive(path: Path) -> None:
-    """Raise DatasetError when the checksum of an ``.npz`` differs; an unchanged file is read once."""
+    """Raise DatasetError when the checksum of an ``.npz`` differs; an unchanged file is read once.
+
+    A file without a checksum of its own, of an older version or another program, has those of its zip members.
+    """
     key = file_mark(path)
     if key in _good_archives:
         return
-    if archive_state(path) is Checksum.DAMAGED:
+    state = archive_state(path)
+    if state is Checksum.DAMAGED or (state is Checksum.NONE and not _are_members_good(path)):
         raise damaged(path)
     _good_archives.add(key)
+
+
+def _are_members_good(path: Path) -> bool:
+    """Return whether the CRC-32 of every uncompressed member fits; compressed ones are verified when they are read.
+
+    Mapped arrays bypass the checks of the zip library. Raises BadZipFile when the file is no archive.
+    """
+    with zipfile.ZipFile(path) as archive:
+        return all(_is_good(archive, m) for m in archive.infolist() if m.compress_type == zipfile.ZIP_STORED)
+
+
+def _is_good(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bool:
+    with archive.open(member) as file:
+        try:
+            while file.read(_PIECE_BYTES):
+                pass
+        except zipfile.BadZipFile:  # raised at the end of a member
+            return False
+    return True
 
 
 def file_mark(path: Path) -> FileMark:
@@ -334,8 +356,5 @@ def complete_lines(path: Path) -> bytes:
     """
     if not path.exists():
         return b""
-    try:
-        text = path.read_bytes()
-    except OSError as fault:
-        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    text = read_content(path, most=MOST_RECORD_BYTES)
     return text[: text.rfind(b"\n") + 1]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,8 +13,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_candidates
+from wafer_viewer.store.io.archives import Archive, open_archive
 from wafer_viewer.store.io.atomic_files import atomic_write
-from wafer_viewer.store.io.checksums import remedy, require_good_archive, seal_archive
+from wafer_viewer.store.io.checksums import remedy, seal_archive
 
 POSES = "poses.npz"
 """File name in the folder of a result."""
@@ -25,16 +23,12 @@ PLACES = (
     *("stage_x_um", "stage_y_um", "x_um", "y_um", "z_um", "tilt_x", "tilt_y"),
     *("u_x_um", "u_y_um", "u_z_um"),
 )
-_UNREADABLE = (
-    *(OSError, KeyError, ValueError, EOFError, TypeError),
-    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
-)
 _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form": Form}
 
 
-_LATER: dict[str, Callable[[Any], NDArray[Any]]] = {
-    "shifts.covariance_um2": lambda arrays: np.zeros(len(arrays["shifts.first"])),
-    "shifts.candidates": lambda arrays: no_candidates(len(arrays["shifts.first"])),
+_LATER: dict[str, Callable[[Archive], NDArray[Any]]] = {
+    "shifts.covariance_um2": lambda archive: np.zeros(len(archive.array("shifts.first"))),
+    "shifts.candidates": lambda archive: no_candidates(len(archive.array("shifts.first"))),
 }
 """Values of columns that files of earlier versions do not have."""
 
@@ -49,13 +43,10 @@ def write_poses(poses: Poses, path: Path) -> None:
 
 def read_poses(path: Path) -> Poses:
     """Read poses. Raises DatasetError when the file is damaged."""
-    try:
-        require_good_archive(path)
-        with path.open("rb") as file, np.load(file) as arrays:
-            tables = {name: _built(kind, arrays, f"{name}.") for name, kind in _TABLES.items()}
-            return _built(Poses, arrays, "", **tables)
-    except _UNREADABLE as fault:
-        raise DatasetError(f"{path} holds no poses that can be read: {remedy(path)}.") from fault
+    refusal = DatasetError(f"{path} holds no poses that can be read: {remedy(path)}.")
+    with open_archive(path, lambda _: refusal) as archive:
+        tables = {name: _built(kind, archive, f"{name}.") for name, kind in _TABLES.items()}
+        return _built(Poses, archive, "", **tables)
 
 
 def write_poses_csv(poses: Poses, path: Path) -> None:
@@ -87,13 +78,14 @@ def _array(value: Any) -> Any:
     return np.asarray(value, dtype=str) if isinstance(value, tuple) and not value else np.asarray(value)
 
 
-def _built(kind: type[Any], arrays: Any, prefix: str, **given: Any) -> Any:
+def _built(kind: type[Any], archive: Archive, prefix: str, **given: Any) -> Any:
     """Build a table from its arrays, with the declared types."""
     values = dict(given)
     for item in dataclasses.fields(kind):
         if item.name not in given:
             key = prefix + item.name
-            values[item.name] = _value(arrays[key] if key in arrays else _LATER[key](arrays), str(item.type))
+            array = archive.array(key) if key in archive else _LATER[key](archive)
+            values[item.name] = _value(array, str(item.type))
     return kind(**values)
 
 
@@ -114,8 +106,6 @@ def write_planes(path: Path, planes: Planes) -> None:
 
 def read_planes(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays of a file. Raises DatasetError when it is missing or damaged."""
-    try:
-        with np.load(path) as members:
-            return {name: members[name] for name in members.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as fault:
-        raise DatasetError(f"{path} cannot be read: start the work again.") from fault
+    refusal = DatasetError(f"{path} cannot be read: start the work again.")
+    with open_archive(path, lambda _: refusal, verify=False) as archive:
+        return {name: archive.array(name) for name in archive.names}

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.store.io.atomic_files import atomic_write
 from wafer_viewer.store.io.checksums import Checksum, remedy
 from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.zarr_shards import append_checksum, strip_checksum
+from wafer_viewer.store.mosaic.zarr_shards import CHECKSUM_BYTES, append_checksum, strip_checksum
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.grids.pyramid_level import Layers
@@ -153,11 +153,10 @@ def facts_state(path: Path) -> Checksum:
 
 def _has_checksums(mosaic: Path) -> bool:
     """Return whether the statistics chunks of a mosaic have checksums; those of older versions do not."""
-    try:
+    damaged = DatasetError(f"{mosaic / FACTS} is missing or damaged: {remedy(mosaic)}.")
+    with parser_errors_as(lambda _: damaged):
         made = json.loads((mosaic / FACTS / "zarr.json").read_bytes())
         return any(codec["name"] == "crc32c" for codec in made["codecs"])
-    except (OSError, ValueError, KeyError, TypeError) as fault:
-        raise DatasetError(f"{mosaic / FACTS} is missing or damaged: {remedy(mosaic)}.") from fault
 
 
 def _per_shard() -> int:
@@ -195,12 +194,14 @@ def _sample(layer: NDArray[np.float32], step: int, out: NDArray[np.float32]) -> 
 
 def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
     n = _per_shard()
-    try:
+    damaged = DatasetError(f"{path} is damaged: {remedy(path)}.")
+    with parser_errors_as(lambda _: damaged):
+        n_bytes = path.stat().st_size
+        if n_bytes not in (n * n * record.itemsize, n * n * record.itemsize + CHECKSUM_BYTES):
+            raise damaged
         content = path.read_bytes()
-        older = len(content) == n * n * record.itemsize
+        older = n_bytes == n * n * record.itemsize
         return np.frombuffer(content if older else strip_checksum(content), record).reshape(n, n).copy()
-    except (OSError, ValueError) as fault:
-        raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
 
 
 def _joined(blocks: Blocks) -> MosaicStatistics:

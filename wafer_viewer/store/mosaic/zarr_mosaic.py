@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
@@ -291,14 +291,13 @@ class ZarrMosaic:
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open a mosaic. Raises DatasetError when the folder holds none, or its header is damaged."""
-        try:
+        foreign = DatasetError(f"{path} is not a mosaic of Wafer Viewer, or is damaged: {remedy(path)}.")
+        with parser_errors_as(lambda _: foreign):
             text = (path / GROUP).read_bytes()
             if text_state(text) is Checksum.DAMAGED:
                 raise damaged(path / GROUP)
             root = json.loads(text)
             own = json.dumps(root["attributes"][OWN]).encode()
-        except (OSError, ValueError, KeyError, TypeError) as fault:
-            raise DatasetError(f"{path} is not a mosaic of Wafer Viewer, or is damaged: {remedy(path)}.") from fault
         return cls(path, decode(own, MosaicHeader, str(path / GROUP), "json"))
 
     def __reduce__(self) -> tuple[Callable[..., ZarrMosaic], tuple[Path, MosaicHeader]]:

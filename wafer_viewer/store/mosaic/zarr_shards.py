@@ -11,20 +11,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.store.io.atomic_files import atomic_write
 from wafer_viewer.store.io.checksums import crc32c, damaged, remedy
 
 ABSENT = 2**64 - 1
 """Index entry of a chunk that holds only the fill value."""
-_SUM_BYTES = 4
+CHECKSUM_BYTES = 4
 Chunks = dict[tuple[int, int], bytes]
 """Encoded chunks by row and column in their shard."""
 
@@ -44,15 +44,13 @@ class Shards:
         Raises DatasetError when the file is damaged.
         """
         try:
-            with path.open("rb") as file:
+            with path.open("rb") as file, parser_errors_as(partial(_unreadable, path)):
                 index = self._index(file)
                 for place, inside, outside in _overlapped_chunks(rows, cols, self.chunk_px):
                     stored = index[place][0] != ABSENT
                     out[outside] = self._decoded(_cut(file, *index[place]))[inside] if stored else self.fill
         except FileNotFoundError:
             out[:] = self.fill
-        except (OSError, ValueError, RuntimeError) as fault:
-            raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
 
     def places(self, path: Path) -> set[tuple[int, int]]:
         """Return rows and columns of the non-empty chunks in the shard at `path`; none if there is no file.
@@ -60,12 +58,10 @@ class Shards:
         Raises DatasetError when the index of the file is damaged.
         """
         try:
-            with path.open("rb") as file:
+            with path.open("rb") as file, parser_errors_as(partial(_unreadable, path)):
                 occupied = np.argwhere(self._index(file)[..., 0] != ABSENT).tolist()
         except FileNotFoundError:
             return set()
-        except (OSError, ValueError) as fault:
-            raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
         return {(row, col) for row, col in occupied}
 
     def require_good(self, path: Path) -> None:
@@ -111,19 +107,17 @@ class Shards:
     def _stored_chunks(self, path: Path) -> Chunks:
         """Return all encoded chunks of a file."""
         try:
-            with path.open("rb") as file:
+            with path.open("rb") as file, parser_errors_as(partial(_unreadable, path)):
                 index = self._index(file)
                 occupied = np.argwhere(index[..., 0] != ABSENT).tolist()
                 return {(r, c): _cut(file, *index[r, c]) for r, c in occupied}
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError) as fault:
-            raise DatasetError(f"{path} is damaged: {remedy(path)}.") from fault
 
     def _index(self, file: IO[bytes]) -> NDArray[np.uint64]:
         """Return offset and number of bytes of each chunk."""
         n = self.shard_px // self.chunk_px
-        file.seek(-(16 * n * n + _SUM_BYTES), os.SEEK_END)
+        file.seek(-(16 * n * n + CHECKSUM_BYTES), os.SEEK_END)
         return np.frombuffer(strip_checksum(file.read()), "<u8").reshape(n, n, 2)
 
     def _encoded(self, chunk: NDArray[Any]) -> bytes | None:
@@ -136,7 +130,10 @@ class Shards:
         return append_checksum(_compressor().encode(np.ascontiguousarray(chunk)))
 
     def _decoded(self, chunk: bytes) -> NDArray[Any]:
-        flat = np.frombuffer(_compressor().decode(strip_checksum(chunk)), self.dtype)
+        packed, n_bytes = strip_checksum(chunk), self.chunk_px**2 * self.dtype.itemsize
+        if int.from_bytes(packed[4:8], "little") != n_bytes:  # Blosc takes this memory before it unpacks
+            raise ValueError("a chunk has another size")
+        flat = np.frombuffer(_compressor().decode(packed), self.dtype)
         return flat.reshape(self.chunk_px, self.chunk_px)
 
 
@@ -220,15 +217,19 @@ def codecs() -> list[Any]:
 
 def append_checksum(content: bytes) -> bytes:
     """Return bytes with their checksum appended."""
-    return content + crc32c(content).to_bytes(_SUM_BYTES, "little")
+    return content + crc32c(content).to_bytes(CHECKSUM_BYTES, "little")
 
 
 def strip_checksum(content: bytes) -> bytes:
     """Return bytes without their checksum. Raises ValueError when it is wrong."""
-    body = content[:-_SUM_BYTES]
-    if crc32c(body).to_bytes(_SUM_BYTES, "little") != content[-_SUM_BYTES:]:
+    body = content[:-CHECKSUM_BYTES]
+    if crc32c(body).to_bytes(CHECKSUM_BYTES, "little") != content[-CHECKSUM_BYTES:]:
         raise ValueError("the checksum is wrong")
     return body
+
+
+def _unreadable(path: Path, _: Exception) -> DatasetError:
+    return DatasetError(f"{path} is damaged: {remedy(path)}.")
 
 
 def _cut(file: IO[bytes], offset: np.uint64, n_bytes: np.uint64) -> bytes:

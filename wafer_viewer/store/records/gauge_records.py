@@ -13,6 +13,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.gauge import Certificate, GaugeRecord
 from wafer_viewer.model.spec import Spec, decode
+from wafer_viewer.store.io.guarded_reading import read_content
 from wafer_viewer.store.records.signed_log import append_record, read_log
 
 CALIBRATIONS = "calibrations.jsonl"
@@ -73,11 +74,7 @@ def read_certificate(path: Path) -> Certificate:
     .. [2] ISO 1, Geometrical product specifications (GPS) - Standard reference temperature for the specification of
        geometrical and dimensional properties.
     """
-    try:
-        text = path.read_bytes()
-    except OSError as fault:
-        raise MeasureError(f"The certificate {path} cannot be read: {fault.strerror}.") from fault
-    return decode(text, Certificate, path.name)
+    return decode(read_content(path, MeasureError), Certificate, path.name)
 
 
 GAUGE_LOG = "gauge-checks.jsonl"

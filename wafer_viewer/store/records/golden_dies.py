@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
-import zlib
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.store.io.archives import Archive, open_archive
 from wafer_viewer.store.io.atomic_files import natural_sort_key, os_errors_as_dataset_errors, remove
-from wafer_viewer.store.io.checksums import require_good_archive, seal_archive
+from wafer_viewer.store.io.checksums import seal_archive
 
 FOLDER, ENDING = "golden", ".golden.npz"
 """Folder of golden dies in the data folder, and suffix of their files."""
@@ -85,29 +85,31 @@ def open_golden(path: str | Path) -> GoldenDie:
     MeasureError
         When its header is invalid or its layers differ in size.
     """
-    with _members(Path(path)) as (header, members):
-        return GoldenDie(header, *(_layer(members[name]) for name in LAYERS))
+    with _opened(Path(path)) as (header, archive):
+        return GoldenDie(header, *(_layer(archive.array(name)) for name in LAYERS))
 
 
 def header_of(path: Path) -> GoldenHeader:
     """Return the header of a golden die file. Raises DatasetError when it is none."""
-    with _members(path) as (header, _):
+    with _opened(path) as (header, _):
         return header
 
 
 @contextmanager
-def _members(path: Path) -> Generator[tuple[GoldenHeader, Mapping[str, Any]]]:
-    """Yield the header and the arrays of a file; any defect raises DatasetError."""
-    try:
-        require_good_archive(path)
-        with path.open("rb") as file, np.load(file) as members:
-            yield decode(str(members["header"]), GoldenHeader, path.name, "json"), members
-    except FileNotFoundError as fault:
-        raise DatasetError(f"{path} does not exist: check the path.") from fault
-    except KeyError as fault:
-        raise DatasetError(f"{path} is not a golden die: give a file that ends in {ENDING}.") from fault
-    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, TypeError) as fault:
-        raise DatasetError(f"{path} cannot be read as a golden die: make it again or use an older version.") from fault
+def _opened(path: Path) -> Generator[tuple[GoldenHeader, Archive]]:
+    """Yield the header and the archive of a file; any defect raises DatasetError."""
+    with open_archive(path, partial(_unreadable, path)) as archive:
+        yield decode(archive.text("header"), GoldenHeader, path.name, "json"), archive
+
+
+def _unreadable(path: Path, fault: Exception) -> DatasetError:
+    match fault:
+        case FileNotFoundError():
+            return DatasetError(f"{path} does not exist: check the path.")
+        case KeyError():
+            return DatasetError(f"{path} is not a golden die: give a file that ends in {ENDING}.")
+        case _:
+            return DatasetError(f"{path} cannot be read as a golden die: make it again or use an older version.")
 
 
 def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:

@@ -14,6 +14,7 @@ from wafer_viewer.model.job import Notebook
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, write_text
 from wafer_viewer.store.io.checksums import load_json, require_good_json, save_json
+from wafer_viewer.store.io.guarded_reading import read_content
 
 FOLDER, ENDING = "recipes", ".defects.toml"
 
@@ -39,10 +40,7 @@ def read_defect_recipe(path: str | Path) -> DefectRecipe:
         When it is no valid TOML, or has an unknown or invalid field.
     """
     place = Path(path)
-    try:
-        return decode(place.read_bytes(), DefectRecipe, place.name)
-    except OSError as fault:
-        raise DatasetError(f"{place} cannot be read: {(fault.strerror or str(fault)).lower()}.") from fault
+    return decode(read_content(place), DefectRecipe, place.name)
 
 
 def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.measurement.measurements import Bump, Chip, Chipping, Coplanarity, MeasurementResult
@@ -21,6 +21,7 @@ from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.store.io.guarded_reading import read_content
 
 RESULT_COLUMNS = (
     *("number", "name", "kind", "quantity", "value", "U", "unit", "k", "status"),
@@ -247,7 +248,7 @@ def read_study(path: Path) -> NDArray[np.float64]:
             cells[line["part"].strip(), line["appraiser"].strip()].append(float(line["value"]))
         except (ValueError, TypeError, AttributeError) as fault:
             raise MeasureError(
-                f"{path.name}, line {number}: {line.get('value')!r} is not a number: correct the line."
+                f"{path.name}, line {number}: {str(line.get('value'))[:80]!r} is not a number: correct the line."
             ) from fault
     if not cells:
         raise MeasureError(f"{path.name} holds no values: {HOW}.")
@@ -264,15 +265,14 @@ def read_study(path: Path) -> NDArray[np.float64]:
 
 
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
-    try:
-        lines = [(n, text) for n, text in enumerate(path.read_text("utf-8-sig").splitlines(), 1) if _counts(text)]
-    except (OSError, UnicodeDecodeError) as fault:
-        raise MeasureError(f"{path} cannot be read ({fault}): {HOW}.") from fault
-    table = csv.DictReader(text for _, text in lines)
-    missing = [name for name in STUDY_COLUMNS if name not in (table.fieldnames or ())]
-    if missing:
-        raise MeasureError(f"{path.name} has no column {missing[0]}: {HOW}.")
-    return [(n, line) for (n, _), line in zip(lines[1:], table, strict=False)]
+    with parser_errors_as(lambda fault: MeasureError(f"{path} cannot be read{detail(fault)}: {HOW}.")):
+        text = read_content(path, MeasureError).decode("utf-8-sig")
+        lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
+        table = csv.DictReader(line for _, line in lines)
+        missing = [name for name in STUDY_COLUMNS if name not in (table.fieldnames or ())]
+        if missing:
+            raise MeasureError(f"{path.name} has no column {missing[0]}: {HOW}.")
+        return [(n, line) for (n, _), line in zip(lines[1:], table, strict=False)]
 
 
 def _counts(text: str) -> bool:

@@ -23,12 +23,13 @@ from typing import Any, Literal
 import numpy as np
 
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.inspection.klarf import BINS, CLASS_NUMBERS, Klarf, KlarfDefect
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.guarded_reading import read_content
 
 KlarfUnit = Literal["um", "nm", "mm"]
 UM_PER: dict[str, float] = {"um": 1.0, "nm": 1e-3, "mm": 1e3}
@@ -119,25 +120,19 @@ def read_klarf(path: str | Path, unit: KlarfUnit | None = None) -> Klarf:
     place = Path(path)
     records = _records(place, _text(place))
     try:
-        um, notes = _um_per_unit(records, unit)
-        notes += _notes(records)
-        klarf = Klarf(**_facts(records, um), defects=tuple(_defects(records, um)), notes=notes)
-        _require_all(records, klarf)
-        _require_plausible(klarf)
+        with parser_errors_as(lambda fault: DatasetError(f"it has a damaged record{detail(fault)}: export it again.")):
+            um, notes = _um_per_unit(records, unit)
+            notes += _notes(records)
+            klarf = Klarf(**_facts(records, um), defects=tuple(_defects(records, um)), notes=notes)
+            _require_all(records, klarf)
+            _require_plausible(klarf)
     except DatasetError as fault:
         raise DatasetError(f"{place.name}: {fault}") from fault
-    except (ValueError, IndexError) as fault:
-        raise DatasetError(f"{place.name} has a damaged record ({fault}): export it again.") from fault
     return klarf if "SummaryList" in records else _unchecked(klarf)
 
 
 def _text(path: Path) -> str:
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError as fault:
-        raise DatasetError(f"{path} does not exist: check the path.") from fault
-    except OSError as fault:
-        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    content = read_content(path)
     utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     return content.decode("utf-16" if utf_16 else "utf-8-sig", errors="replace")
 
