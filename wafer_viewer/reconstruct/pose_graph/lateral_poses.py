@@ -26,6 +26,7 @@ from wafer_viewer.reconstruct.pose_graph.robust_solver import (
     solve_robust,
     standard_uncertainties,
 )
+from wafer_viewer.reconstruct.pose_graph.stage_errors import between_neighbours
 
 SIGMA = 0.05
 """Prior standard deviation of rotation (rad) and scale (fraction); uncertain values are not applied."""
@@ -267,8 +268,13 @@ class _Task:
         shifts = self._judged(network, solution)
         believed = shifts.weight >= REJECTED
         group = groups(len(x_um), shifts.first[believed], shifts.second[believed])
+        place = np.column_stack((x_um, y_um))
+        if not np.any(self.fixed):
+            stage = np.column_stack((self.stage_x_um, self.stage_y_um))
+            pairs = np.column_stack((shifts.first, shifts.second))
+            place, u = between_neighbours(stage, place, u, group, pairs, self.pixel_um)
         error_um = float(network.prior_sigma[0])
-        return Positions(x_um, y_um, u[:, 0], u[:, 1], group, shifts, error_um, found)
+        return Positions(place[:, 0], place[:, 1], u[:, 0], u[:, 1], group, shifts, error_um, found)
 
     def _judged(self, network: PoseGraph, solution: RobustSolution) -> Shifts:
         """Return the shifts with their weights, residuals and doubts."""
