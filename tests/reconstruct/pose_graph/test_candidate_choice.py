@@ -156,3 +156,39 @@ def test_without_patterns_there_is_nothing_to_choose():
     fields = grid(3, 3)
     shifts, _ = shifts_of(fields, np.random.default_rng(0))
     assert choose_candidates(fields.x_um, fields.y_um, shifts, PIXEL_UM) is None
+
+
+def test_rows_do_not_alternate_by_a_period_for_the_sake_of_a_smaller_scatter():
+    """A backlash of one period fits as well as none, and is the less likely."""
+    for seed in range(12):
+        fields = grid(4, 3)
+        shifts, true = patterned(fields, STAGE_PX / 0.13, seed)
+        choice = chosen(fields, shifts)
+        off = np.abs(error_px(fields, true, choice))
+        assert not off.size or (off.max(axis=1) > 1).mean() < 0.5
+
+
+def test_fields_know_how_sure_their_period_is():
+    fields = grid(6, 6)
+    choice = chosen(fields, patterned(fields, 60.0, 3)[0])
+    assert choice.odds_nats.shape == (36,)
+    assert choice.odds_nats.min() > 4.0
+    coarse = chosen(fields, patterned(fields, STAGE_PX / 0.16, 3)[0])
+    assert np.median(coarse.odds_nats) < np.median(choice.odds_nats)
+    refused = chosen(fields, patterned(fields, STAGE_PX / 0.6, 3)[0])
+    assert refused.refused
+    assert (refused.odds_nats == 0).all()
+
+
+def test_pictures_that_mislead_at_half_resolution_do_not_make_the_stage_look_coarse():
+    """All overlaps fit one period off a little better, as a pattern does between binned pixels."""
+    fields = grid(6, 6)
+    shifts, true = patterned(fields, 60.0, 3)
+    moved = true - np.column_stack((fields.x_um, fields.y_um))
+    at = moved[fields.pairs[:, 1]] - moved[fields.pairs[:, 0]]
+    table = shifts.candidates.copy()
+    whole = np.abs(table[:, :, :2] - at[:, None]).max(axis=2) < PIXEL_UM
+    table[:, :, 5] += np.where(whole, 5.0, 0.0)
+    choice = chosen(fields, dataclasses.replace(shifts, candidates=table))
+    assert choice.to_measure.mean() > 0.9
+    assert np.abs(error_px(fields, true, choice)).max() < 1.0

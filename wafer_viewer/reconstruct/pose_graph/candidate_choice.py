@@ -35,7 +35,8 @@ class Choice:
 
     shifts: patterns that are open or not measured yet are ambiguous; to_measure: mask of the overlaps to be measured
     at the offsets (x, y) `expected_um`, [e, 2]; scatter_um: of the stage; spacing_px: of the candidates; refused:
-    whether patterns were left open because the stage is too coarse for them.
+    whether patterns were left open because the stage is too coarse for them; odds_nats: log odds of the chosen period
+    of each field against any other, [n], infinite for fields without a pattern that repeats.
     """
 
     shifts: Shifts
@@ -44,6 +45,7 @@ class Choice:
     scatter_um: float
     spacing_px: float
     refused: bool
+    odds_nats: Numbers
 
     def notes(self, pixel_um: float) -> tuple[str, ...]:
         """Return why patterns were left open, in a sentence, or nothing."""
@@ -88,25 +90,38 @@ def choose_candidates(
     stage = np.column_stack((stage_x_um, stage_y_um)) / pixel_um
     graph = CandidateGraph.of(len(stage), shifts, pixel_um)
     begun = None if start is None else np.column_stack(start) / pixel_um
+    error_px = None if stage_error_um == "auto" else max(stage_error_um / pixel_um, CHOICE.least_scatter_px)
+    chosen = _chosen(_most_probable(graph, stage, fixed, begun, error_px), shifts, pixel_um)
+    if not chosen.refused or not graph.pictures_differ:
+        return chosen
+    by_lattice = _chosen(_most_probable(graph.without_misfits(), stage, fixed, begun, error_px), shifts, pixel_um)
+    return chosen if by_lattice.refused else by_lattice
+
+
+def _most_probable(
+    graph: CandidateGraph, stage: Numbers, fixed: Flags | None, begun: Numbers | None, error_px: float | None
+) -> Placing:
+    """Return the most probable end of all beginnings; error_px: of the stage, estimated if None."""
     ends: list[Placing] = []
     for share, out in BEGINNINGS[:1] if len(stage) > MANY_FIELDS else BEGINNINGS:
         placing = Placing.begin(graph, stage, fixed, begun)
-        if stage_error_um != "auto":
-            placing.scatter[:] = max(stage_error_um / pixel_um, CHOICE.least_scatter_px)
+        if error_px is not None:
+            placing.scatter[:] = error_px
             placing.knows_scatter = True
         placing.scatter *= share
         placing.grow(out)
         placing.scatter /= share
         placing.sweep()
         ends.append(placing)
-    return _chosen(min(ends, key=Placing.cost_nats), shifts, pixel_um)
+    return min(ends, key=Placing.cost_nats)
 
 
 def _chosen(placing: Placing, shifts: Shifts, pixel_um: float) -> Choice:
     """Return which overlaps are to be measured at the places of sure fields, and doubt the other patterns."""
+    odds = np.minimum(placing.odds, placing.lines_nats())
     graph, scatter = placing.graph, float(np.sqrt(np.mean(placing.scatter**2)))
     refused = scatter > CHOICE.most_of_pitch * graph.spacing_px and graph.decided_by_pictures < CHOICE.decides_nats
-    sure = placing.placed & (placing.odds > CHOICE.sure_nats) & (not refused)
+    sure = placing.placed & (odds > CHOICE.sure_nats) & (not refused)
     moved = placing.place - placing.stage
     expected = moved[shifts.second] - moved[shifts.first]
     between = sure[shifts.first] & sure[shifts.second]
@@ -122,4 +137,17 @@ def _chosen(placing: Placing, shifts: Shifts, pixel_um: float) -> Choice:
         scatter * pixel_um,
         graph.spacing_px,
         bool(refused),
+        _of_patterned(np.where(refused, 0.0, odds), placing.placed, shifts),
     )
+
+
+def _of_patterned(odds: Numbers, placed: Flags, shifts: Shifts) -> Numbers:
+    """Return the odds of the fields with a pattern that repeats, infinite for the others.
+
+    The first field of all has no choice: the surest of the others stands for it.
+    """
+    patterned = np.zeros(len(odds), np.bool_)
+    patterned[shifts.first[shifts.repeats]] = patterned[shifts.second[shifts.repeats]] = True
+    chosen = patterned & placed & np.isfinite(odds)
+    most = float(odds[chosen].max(initial=0.0))
+    return np.where(patterned, np.minimum(np.where(placed, odds, 0.0), most), np.inf)

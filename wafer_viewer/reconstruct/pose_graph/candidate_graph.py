@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ class ChoiceParameters:
         Standard deviation of the turn and of the scale of the stage against the camera.
     backlash_px : float, px
         Standard deviation of the offset of every second row and column.
+    backlash_of_pitch : float
+        The same, as the largest part of the spacing of the candidates: one period more would be as good.
     slack_px : float, px
         Uncertainty added to a candidate: it was compared at half of the resolution, and neighbours may still move.
     most_candidate_nats : float
@@ -41,7 +43,7 @@ class ChoiceParameters:
     most_overlap_nats : float
         Largest cost of an overlap: one that fits nowhere says no more.
     sure_nats : float
-        Log odds of a field's place against any other above which it is believed: 150 to 1.
+        Log odds of a field's place against any other above which it is believed: 55 to 1.
     near_px : float, px
         Largest distance between a candidate and the places of its fields.
     most_of_pitch : float
@@ -59,15 +61,16 @@ class ChoiceParameters:
     scatter_px: float = 6.0
     scatter_of_pitch: float = 0.15
     usually: int = 4
-    enough_fields: int = 12
+    enough_fields: int = 8
     least_scatter_px: float = 0.3
     offset_px: float = 30.0
     turn: float = 0.005
     backlash_px: float = 6.0
+    backlash_of_pitch: float = 0.2
     slack_px: float = 0.3
     most_candidate_nats: float = 6.0
     most_overlap_nats: float = 12.0
-    sure_nats: float = 5.0
+    sure_nats: float = 4.0
     near_px: float = 2.5
     most_of_pitch: float = 0.18
     decides_nats: float = 3.0
@@ -112,6 +115,18 @@ class CandidateGraph:
         return cls(first, second, np.nan_to_num(offset), np.nan_to_num(precision), misfit, ends, number[order])
 
     @property
+    def pictures_differ(self) -> bool:
+        """True if any candidate fits better than another of the same overlap."""
+        return bool((self.misfit[np.isfinite(self.misfit)] > 0).any())
+
+    def without_misfits(self) -> CandidateGraph:
+        """Return the same candidates, all equally likely.
+
+        Between binned pixels a pattern finer than these fits better or worse by chance, in all overlaps alike.
+        """
+        return replace(self, misfit=np.where(np.isfinite(self.misfit), 0.0, np.inf))
+
+    @property
     def spacing_px(self) -> float:
         """Median distance of the nearest two candidates of the overlaps with several; infinite without."""
         known = np.isfinite(self.misfit)
@@ -123,6 +138,26 @@ class CandidateGraph:
         apart = np.hypot(*np.moveaxis(offset[:, :, None] - offset[:, None], -1, 0))
         apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.inf
         return float(np.median(np.nanmin(apart, axis=(1, 2))))
+
+    @property
+    def periods_px(self) -> Numbers:
+        """Median of the shortest steps between candidates, mostly along x and mostly along y, [2, 2]; NaN without."""
+        known = np.isfinite(self.misfit)
+        several = np.flatnonzero(known.sum(axis=1) > 1)
+        some = several[:: 1 + len(several) // _SOME_OVERLAPS]
+        offset = np.where(known[some, :, None], self.offset[some], np.nan)
+        steps = offset[:, :, None] - offset[:, None]
+        found = np.full((2, 2), np.nan)
+        for axis in range(2):
+            forward, across = steps[..., axis], np.abs(steps[..., 1 - axis])
+            length = np.where((forward > 2 * across) & (forward > CHOICE.near_px), forward, np.inf)
+            length = length.reshape(len(length), length.shape[1] ** 2)
+            nearest = length.argmin(axis=1) if length.size else np.zeros(0, np.intp)
+            rows = np.arange(len(nearest))
+            there = np.isfinite(length[rows, nearest]) if length.size else np.zeros(0, np.bool_)
+            if there.any():
+                found[axis] = np.median(steps.reshape(len(length), -1, 2)[rows, nearest][there], axis=0)
+        return found
 
     @property
     def decided_by_pictures(self) -> float:

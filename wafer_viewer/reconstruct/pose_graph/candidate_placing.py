@@ -7,7 +7,7 @@ common is estimated along the way.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,15 +20,14 @@ from wafer_viewer.reconstruct.pose_graph.amg_solver import System, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
 from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph, Ints
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags
+from wafer_viewer.reconstruct.pose_graph.stage_errors import N_SHARED, shared_effects
 
 RELAXED_PX = (6.0, 2.0, 1.0)
 """Residuals at which overlaps have lost three quarters of their weight, when all fields are moved together, px."""
 RELAXED_TOLERANCE = 1e-4
 """Relative error of these motions in very large grids, which are not solved directly."""
-N_SHARED = 6
-"""Number of shared errors of the stage: offset along x and y, scale, turn, backlash of rows and of columns."""
 N_UNSETTLED = 4
-"""Number of these that count while fields are placed for the first time."""
+"""Number of the shared errors of the stage that count while fields are placed for the first time."""
 
 
 @dataclass(slots=True, eq=False)
@@ -37,7 +36,8 @@ class Placing:
 
     stage, place: [n, 2]; placed, fixed: masks; odds: log odds of a place against any other, [n]; shared_by: effect of
     the shared errors on a field, [n, 2, m]; shared, shared_covariance: what is known of them; scatter: of the stage
-    along x and y about these, and usual_scatter beforehand; knows_scatter: whether it was given.
+    along x and y about these, and usual_scatter beforehand; spacing_px: of the candidates; knows_scatter: whether the
+    scatter was given.
     """
 
     graph: CandidateGraph
@@ -51,6 +51,7 @@ class Placing:
     shared_covariance: Numbers
     scatter: Numbers
     usual_scatter: float
+    spacing_px: float
     knows_scatter: bool = False
 
     @classmethod
@@ -61,20 +62,24 @@ class Placing:
         place = stage.copy()
         if start is not None:
             place[is_fixed] = start[is_fixed]
-        sigma, usual = _shared_sigma(N_UNSETTLED), _usual_scatter(graph, n)
-        return cls(
+        spacing_px = graph.spacing_px
+        usual = _usual_scatter(spacing_px, n)
+        placing = cls(
             graph,
             stage,
             place,
             is_fixed.copy(),
             is_fixed,
             np.where(is_fixed, np.inf, 0.0),
-            _shared_by(stage),
+            shared_effects(stage),
             np.zeros(N_SHARED),
-            np.diag(sigma**2),
+            np.zeros((0, 0)),
             np.full(2, usual),
             usual,
+            spacing_px,
         )
+        placing.shared_covariance = np.diag(placing.shared_sigma(N_UNSETTLED) ** 2)
+        return placing
 
     def grow(self, out: float) -> None:
         """Place all fields that have candidates for the first time, the surest next.
@@ -135,7 +140,24 @@ class Placing:
         by_overlaps = np.minimum((misfit + graph.misfit[used]).min(axis=1), CHOICE.most_overlap_nats).sum()
         rest = ((moved - self.shared_by @ self.shared)[self.placed & ~self.fixed]) / self.scatter
         by_stage = np.sum(rest**2) / 2 + len(rest) * np.log(self.scatter).sum()
-        return float(by_overlaps + by_stage)
+        by_shared = np.sum((self.shared / self.shared_sigma(N_SHARED)) ** 2) / 2
+        return float(by_overlaps + by_stage + by_shared)
+
+    def lines_nats(self) -> float:
+        """Return the log odds of these places against those with every second row or column one period further.
+
+        Infinite where fields are fixed: these hold the lines.
+        """
+        if self.fixed.any():
+            return np.inf
+        own, rivals = self.cost_nats(), [np.inf]
+        for axis, period in enumerate(self.graph.periods_px):
+            for sign in (1.0, -1.0) if np.isfinite(period).all() else ():
+                by_lines = self.shared_by[:, axis, N_UNSETTLED + axis]
+                rival = replace(self, place=self.place + sign * by_lines[:, None] * period)
+                rival._refit(N_SHARED, with_scatter=True)
+                rivals.append(rival.cost_nats())
+        return min(rivals) - own
 
     def _relax(self) -> None:
         """Move all placed fields together to where the candidates next to them say.
@@ -175,11 +197,20 @@ class Placing:
             found=np.zeros(3),
         )
 
+    def shared_sigma(self, n_shared: int) -> Numbers:
+        """Return the standard deviations of the shared errors.
+
+        That of a backlash is limited by the pitch: one of most of a pitch would pass for a period.
+        """
+        backlash = min(CHOICE.backlash_px, CHOICE.backlash_of_pitch * self.spacing_px)
+        sigma = (CHOICE.offset_px, CHOICE.offset_px, CHOICE.turn, CHOICE.turn, backlash, backlash)
+        return np.array(sigma[:n_shared])
+
     def _refit(self, n_shared: int, with_scatter: bool) -> None:
         """Estimate the shared errors of the stage, and its scatter, from the placed fields."""
         used = self.placed
         off, by = (self.place - self.stage)[used], self.shared_by[used][:, :, :n_shared]
-        sigma, weight = _shared_sigma(n_shared), np.ones(len(off))
+        sigma, weight = self.shared_sigma(n_shared), np.ones(len(off))
         shared, normal = np.zeros(n_shared), np.diag(sigma**-2.0)
         for _ in range(5):
             precision = weight[:, None] / self.scatter**2
@@ -201,37 +232,11 @@ class Placing:
         return np.maximum(both, CHOICE.least_scatter_px)
 
 
-def _usual_scatter(graph: CandidateGraph, n_fields: int) -> float:
+def _usual_scatter(spacing_px: float, n_fields: int) -> float:
     """Return the scatter of a stage that is expected beforehand, in pixels."""
     if n_fields < CHOICE.enough_fields:
         return CHOICE.scatter_px
-    return min(CHOICE.scatter_px, CHOICE.scatter_of_pitch * graph.spacing_px)
-
-
-def _shared_sigma(n_shared: int) -> Numbers:
-    sigma = (CHOICE.offset_px, CHOICE.offset_px, CHOICE.turn, CHOICE.turn, CHOICE.backlash_px, CHOICE.backlash_px)
-    return np.array(sigma[:n_shared])
-
-
-def _shared_by(stage: Numbers) -> Numbers:
-    """Return the effect of the shared errors on the fields, [n, 2, 6]."""
-    arm = stage - stage.mean(axis=0)
-    by = np.zeros((len(stage), 2, N_SHARED))
-    by[:, 0, 0] = by[:, 1, 1] = 1
-    by[:, :, 2] = arm
-    by[:, 0, 3], by[:, 1, 3] = arm[:, 1], -arm[:, 0]
-    by[:, 0, 4], by[:, 1, 5] = _parity(stage[:, 1]), _parity(stage[:, 0])
-    return by
-
-
-def _parity(along: Numbers) -> Numbers:
-    """Return 1/2 and -1/2 for every second line of fields at about the same coordinate."""
-    order = np.argsort(along, kind="stable")
-    gaps = np.diff(along[order])
-    line = np.concatenate(([0], np.cumsum(gaps > max(0.5 * gaps.max(initial=0), 1e-9))))
-    parity = np.empty(len(along))
-    parity[order] = line % 2 - 0.5
-    return parity
+    return min(CHOICE.scatter_px, CHOICE.scatter_of_pitch * spacing_px)
 
 
 def _joint_step(

@@ -110,7 +110,7 @@ class MatchAcceptanceParameters:
         Largest unexplained variance of a rival, relative to the best.
     never_explained : float
         Fraction of the variance that pixels, optics and light leave unexplained at any shift, at full resolution;
-        between binned pixels more is lost, with the square of the factor.
+        between binned pixels more is lost, with the fourth power of the factor.
     least_agreeing : float
         Minimum fraction of the contrast where both images agree; rotated content agrees around one point only.
     most_bent_px : float, px
@@ -334,7 +334,7 @@ def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
         covariance=fit.covariance * factor**2,
         bent_px=fit.bent_px * factor,
         n_pixels=fit.n_pixels * factor**2,
-        unexplained=fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**2,
+        unexplained=fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**4,
     )
 
 
