@@ -6,6 +6,7 @@ import dataclasses
 import re
 
 import numpy as np
+import pytest
 
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
@@ -98,3 +99,23 @@ def test_fields_that_hang_on_the_stage_alone_are_counted_in_the_status_line():
     assert "islands" not in said
     assert words.by_stage(dataclasses.replace(FOUND, n_by_stage=3), 16)[0] == "3 of 16 fields by the stage alone"
     assert words.by_stage(FOUND, 16) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("probability", "said"),
+    [(0.99999, "practically sure, over 99.9 %"), (0.985, "sure, 98 %"), (0.9, "likely, 90 %"), (0.5, "open, 50 %")],
+)
+def test_how_sure_a_period_is_stands_in_words_and_as_a_number(probability: float, said: str):
+    assert said in text(words.how_sure(probability))
+    periodic = dataclasses.replace(FOUND, n_periodic=7, period_probability=probability)
+    assert f"least sure period of these {said}" in text(words.stitching_numbers(periodic))
+
+
+def test_an_open_pattern_says_how_likely_its_best_period_is():
+    shifts = POSES.shifts
+    candidates = np.zeros((len(shifts.first), 2, 6), np.float32)
+    odds = np.full(len(POSES.numbers), 1.5)
+    open_ = dataclasses.replace(POSES, shifts=dataclasses.replace(shifts, candidates=candidates), period_odds_nats=odds)
+    rows = rows_of(words.rejected_overlaps(open_, 0.5))
+    (row,) = [row for row in rows if row[0] == "5 – 8"]
+    assert row[1] == "it fits at several places; the likeliest is likely, 82 %"

@@ -57,3 +57,10 @@ def test_a_table_of_poses_has_a_line_for_each_field(tmp_path: Path) -> None:
     assert [int(line["field"]) for line in lines] == poses.numbers.tolist()
     np.testing.assert_allclose([float(line["x_um"]) for line in lines], poses.x_um, rtol=1e-4)
     assert [bool(int(line["left_out"])) for line in lines] == [bool(v) for v in poses.left_out]
+
+
+def test_the_table_says_how_sure_each_period_is(tmp_path: Path) -> None:
+    poses = dataclasses.replace(some_poses(), period_odds_nats=np.array([4.6, np.inf, 0.0]))
+    write_poses_csv(poses, tmp_path / "poses.csv")
+    with (tmp_path / "poses.csv").open(encoding="utf-8") as file:
+        assert [line["period_probability"] for line in csv.DictReader(file)] == ["0.9900", "", "0.5000"]

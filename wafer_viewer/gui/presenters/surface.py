@@ -265,6 +265,9 @@ SHOWN, LISTED = 6, 60
 """Number of rejected overlaps listed at first, and in total when unfolded."""
 NAMED = 8
 """Largest number of fields named in a sentence."""
+_PRACTICALLY = 0.999
+_SURE = ((_PRACTICALLY, "practically sure"), (0.98, "sure"), (0.8, "likely"), (0.0, "open"))
+"""Words for the probability of a chosen period, from which on; fields are placed by it from 98 % on."""
 Rows = list[tuple[str, str]]
 
 
@@ -273,6 +276,8 @@ def stitching_numbers(info: StitchingInfo) -> Markup:
     rows: Rows = [("Overlaps accepted", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
     if info.n_periodic:
         rows.append(("– of a repeating pattern", number(info.n_periodic, 0)))
+    if info.period_probability is not None:
+        rows.append(("– least sure period of these", f"{how_sure(info.period_probability)}"))
     rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
     if info.step_median_um is not None:
         rows.append(("Step left at a seam, median", _length(info.step_median_um)))
@@ -283,6 +288,14 @@ def stitching_numbers(info: StitchingInfo) -> Markup:
         ("Height of a field, U (k = 2)", _plus_minus(info.height_u_um)),
     ]
     return html.pairs(rows)
+
+
+def how_sure(probability: float) -> str:
+    """Return a probability in words and as a number: ``practically sure, over 99.9 %`` or ``likely, 92 %``."""
+    words = next(words for least, words in _SURE if probability >= least)
+    if probability > _PRACTICALLY:
+        return f"{words}, over {100 * _PRACTICALLY:g}{THIN}%"
+    return f"{words}, {100 * probability:.2g}{THIN}%"
 
 
 def details(info: StitchingInfo) -> Markup:
@@ -364,7 +377,11 @@ def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> Mark
     doubt = RejectionReason(int(shifts.doubt[row]))
     off = None if doubt is RejectionReason.BLANK else off_um
     figures = [number(off, 2), number(None if off is None else off / pixel_um, 1)]
-    return html.row([f"{first}{THIN}–{THIN}{second}", DOUBT_TITLES[doubt], *figures], "  nn")
+    why = DOUBT_TITLES[doubt]
+    sure = float(poses.overlap_period_probability[row])
+    if doubt is RejectionReason.AMBIGUOUS and np.isfinite(sure):
+        why = f"{why}; the likeliest is {how_sure(sure)}"
+    return html.row([f"{first}{THIN}–{THIN}{second}", why, *figures], "  nn")
 
 
 def _left_out(fields: tuple[int, ...]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -156,7 +156,8 @@ class Poses:
     uncertainties of the pose (of z at the centre of the field). group: equal for fields connected by accepted overlaps;
     left_out: fields that fit none of their neighbours and are not in the mosaic. stage_error_um, z_error_um: estimated
     standard deviation of the stage errors in the plane and along z. final: True if all fields were solved together,
-    False if some were placed relative to fixed ones.
+    False if some were placed relative to fixed ones. period_odds_nats: log odds of the chosen period of a field against
+    any other, infinite where no pattern repeats; empty where none does anywhere.
     """
 
     numbers: NDArray[np.int32]
@@ -180,6 +181,22 @@ class Poses:
     z_error_um: float = 0.0
     final: bool = True
     notes: tuple[str, ...] = ()
+    period_odds_nats: Numbers = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def period_probability(self) -> Numbers:
+        """Probability of the chosen period of each field, [n_fields]; NaN where no pattern repeats."""
+        if not self.period_odds_nats.size:
+            return np.full(self.numbers.size, np.nan)
+        sure = 1 / (1 + np.exp(-np.clip(self.period_odds_nats, 0, 500)))
+        return np.where(np.isfinite(self.period_odds_nats), sure, np.nan)
+
+    @property
+    def overlap_period_probability(self) -> Numbers:
+        """The same of each overlap with a pattern that repeats: of the less sure of its two fields; NaN for others."""
+        of_fields, shifts = self.period_probability, self.shifts
+        both = np.fmin(of_fields[shifts.first], of_fields[shifts.second])
+        return np.where(shifts.repeats, both, np.nan)
 
     def excess_um(self, n: int, dx_um: Numbers, dy_um: Numbers) -> Numbers:
         """Return how much too high field n is at (dx_um, dy_um) from its centre."""

@@ -268,7 +268,8 @@ class StitchingInfo:
     fields from their stage positions. step: remaining z step between neighbours; None if no overlap is compared. form:
     the terms of the overall form that only the stage determines, each with its U. left_out: numbers of fields that fit
     none of their neighbours. n_by_stage: number of fields that overlap others and are placed by the stage alone;
-    n_periodic: of the accepted overlaps with a repeating pattern, whose period the stage helped to choose.
+    n_periodic: of the accepted overlaps with a repeating pattern, whose period the stage helped to choose;
+    period_probability: of the chosen period of the least sure of these, None without any.
     """
 
     n_overlaps: int
@@ -288,6 +289,7 @@ class StitchingInfo:
     notes: tuple[str, ...] = ()
     n_by_stage: int = 0
     n_periodic: int = 0
+    period_probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,8 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
     shifts = poses.shifts
     if not shifts.first.size:
         return None
+    sure = poses.overlap_period_probability[shifts.believed]
+    sure = sure[np.isfinite(sure)]
     moved_um = np.hypot(poses.x_um - poses.stage_x_um, poses.y_um - poses.stage_y_um)[~poses.left_out]
     steps_um = np.abs(poses.seams.step_um[np.isfinite(poses.seams.step_um)])
     position_u_um = np.hypot(poses.u_x_um, poses.u_y_um) / np.sqrt(2)
@@ -57,6 +59,7 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
         notes=poses.notes,
         n_by_stage=int(placed_by_stage(poses).sum()),
         n_periodic=int((shifts.repeats & shifts.believed).sum()),
+        period_probability=float(sure.min()) if sure.size else None,
     )
 
 

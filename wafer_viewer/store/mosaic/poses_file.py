@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form
 _LATER: dict[str, Callable[[Archive], NDArray[Any]]] = {
     "shifts.covariance_um2": lambda archive: np.zeros(len(archive.array("shifts.first"))),
     "shifts.candidates": lambda archive: no_candidates(len(archive.array("shifts.first"))),
+    "period_odds_nats": lambda _: np.zeros(0),
 }
 """Values of columns that files of earlier versions do not have."""
 
@@ -52,16 +54,20 @@ def read_poses(path: Path) -> Poses:
 def write_poses_csv(poses: Poses, path: Path) -> None:
     """Write one line per field: stage position, pose and standard uncertainty (k = 1); um and um per um.
 
-    Raises DatasetError when the path cannot be written to.
+    The last column is the probability of the chosen period, empty where no pattern repeats. Raises DatasetError when
+    the path cannot be written to.
     """
-    columns = ("numbers", *PLACES, "group", "left_out")
+    columns = ("numbers", *PLACES, "group", "left_out", "period_probability")
     lines = zip(*(getattr(poses, name).tolist() for name in columns), strict=True)
     with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(("field", *PLACES, "group", "left_out"))
+        table.writerow(("field", *PLACES, "group", "left_out", "period_probability"))
         table.writerows(
-            (number, *(f"{v:.6g}" if abs(v) < 1 else f"{v:.4f}" for v in place), group, int(left_out))
-            for number, *place, group, left_out in lines
+            (
+                *(number, *(f"{v:.6g}" if abs(v) < 1 else f"{v:.4f}" for v in place), group, int(left_out)),
+                "" if math.isnan(sure) else f"{sure:.4f}",
+            )
+            for number, *place, group, left_out, sure in lines
         )
 
 
