@@ -19,7 +19,15 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_seams, no_shifts
+from wafer_viewer.model.surface.field_poses import (
+    Form,
+    HeightOffsets,
+    Poses,
+    RejectionReason,
+    Shifts,
+    no_seams,
+    no_shifts,
+)
 from wafer_viewer.model.surface.height_map import HeightMap, Outline
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blending.mosaic_layout import layout
@@ -27,16 +35,27 @@ from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mo
 from wafer_viewer.reconstruct.pose_graph.candidate_choice import choose_candidates
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph.stage_errors import LEAST_TIED
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
+from wafer_viewer.reconstruct.registration.misfit_search import (
+    NO_MISFITS,
+    Misfits,
+    search_misfits,
+    suspects,
+    usual_unexplained,
+)
 from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields, stitching_notes
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import refine, register
+from wafer_viewer.reconstruct.registration.second_look import look_again
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
 REGISTER_SHARE = 0.8
 """Registration's share of the work in `stitch`; blending is deferred until a window is requested."""
+MOST_LOOKS = 3
+"""Largest number of times that lost overlaps are looked at again."""
 
 
 def stitch(
@@ -195,7 +214,9 @@ class RegisteredOverlaps:
     pairs: Pairs
     shifts: Shifts
     left_out: NDArray[np.bool_]
+    misfits: Misfits
     notes: tuple[str, ...] = ()
+    period_odds_nats: Um = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def usable_pairs(self) -> Pairs:
@@ -222,12 +243,55 @@ def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Reg
         start=start,
     )
     notes: tuple[str, ...] = ()
+    odds_nats = np.zeros(0)
     if choice is not None:
+        odds_nats = choice.odds_nats
         notes = choice.notes(fields.outlines[0].pixel_um)
         again = np.column_stack((shifts.first, shifts.second))[choice.to_measure]
         shifts = choice.with_measured(observers.refine(again, choice.expected_um[choice.to_measure]))
+    shifts = _looked_at_again(fields, shifts, observers)
     left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, shifts))
-    return RegisteredOverlaps(pairs, shifts, left_out, notes)
+    misfits = _searched_misfits(fields, shifts, left_out, observers)
+    left_out |= np.isin(np.arange(n_fields), misfits.fields)
+    return RegisteredOverlaps(pairs, _without(shifts, misfits.fields), left_out, misfits, notes, odds_nats)
+
+
+def _looked_at_again(fields: FieldsToPlace, shifts: Shifts, observers: OverlapObservers) -> Shifts:
+    """Return the shifts after lost overlaps were measured where the poses expect them, until none more is found."""
+    x_um, y_um = fields.centres_um
+    pixel_um = fields.outlines[0].pixel_um
+    for _ in range(MOST_LOOKS):
+        if shifts.believed.all() or not shifts.believed.any():
+            break
+        found = _solved_positions(fields, shifts)
+        moved = np.column_stack((found.x_um - x_um, found.y_um - y_um))
+        joined = found.group[shifts.first] == found.group[shifts.second]
+        u_um = np.where(joined, 0.0, np.sqrt(2) * found.stage_error_um)
+        before, n = shifts, int(shifts.believed.sum())
+        shifts = look_again(shifts, moved[shifts.second] - moved[shifts.first], u_um, pixel_um, observers.refine)
+        if int(shifts.believed.sum()) == n:
+            return before
+    return shifts
+
+
+def _searched_misfits(
+    fields: FieldsToPlace, shifts: Shifts, left_out: NDArray[np.bool_], observers: OverlapObservers
+) -> Misfits:
+    """Return the mirrored, turned and swapped fields; none while new fields are placed against fixed ones."""
+    found = suspects(len(fields.outlines), shifts, left_out)
+    if fields.fixed is not None or not len(found):
+        return NO_MISFITS
+    x_um, y_um = fields.centres_um
+    expected = _solved_positions(fields, _without(shifts, found))
+    moved = np.column_stack((expected.x_um - x_um, expected.y_um - y_um))
+    pairs = np.column_stack((shifts.first, shifts.second))
+    return search_misfits(found, pairs, moved, usual_unexplained(shifts), observers.opened)
+
+
+def _without(shifts: Shifts, some: Sequence[int] | NDArray[np.int32]) -> Shifts:
+    """Return the shifts, those of some fields rejected as unlike where they were accepted."""
+    those = (np.isin(shifts.first, some) | np.isin(shifts.second, some)) & shifts.believed
+    return dataclasses.replace(shifts, doubt=np.where(those, np.uint8(RejectionReason.UNLIKE), shifts.doubt))
 
 
 # --------------------------------------------------------------------------------------------------------------- poses
@@ -235,11 +299,15 @@ def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Reg
 
 def solve_lateral(fields: FieldsToPlace, registered: RegisteredOverlaps) -> Positions:
     """Solve for the lateral positions of the fields and the rotation and scale of the camera."""
+    return _solved_positions(fields, registered.shifts)
+
+
+def _solved_positions(fields: FieldsToPlace, shifts: Shifts) -> Positions:
     x_um, y_um = fields.centres_um
     return solve_positions(
         x_um,
         y_um,
-        registered.shifts,
+        shifts,
         fields.outlines[0].pixel_um,
         stage_error_um=fields.stitching.stage_error_um,
         fixed=fields.fixed,
@@ -302,8 +370,16 @@ def combine(
         z_error_um=vertical.z_error_um,
         final=fields.fixed is None,
         notes=registered.notes + lateral.notes + vertical.notes,
+        period_odds_nats=registered.period_odds_nats,
     )
-    notes = stitching_notes(poses, registered.pairs, observers.opened)
+    notes = stitching_notes(
+        poses,
+        registered.pairs,
+        observers.opened,
+        registered.misfits.notes(fields.numbers),
+        registered.misfits.fields,
+        stage_known=fields.fixed is None and int(np.bincount(lateral.group).max(initial=0)) >= LEAST_TIED,
+    )
     return dataclasses.replace(poses, notes=poses.notes + notes)
 
 

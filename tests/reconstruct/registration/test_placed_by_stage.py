@@ -72,6 +72,9 @@ def test_dies_finer_than_the_search_are_placed_by_all_overlaps_together():
     info = stitching_info(poses)
     assert info is not None
     assert (info.n_by_stage, info.n_periodic) == (0, 24)
+    assert info.period_probability is not None
+    assert info.period_probability > 0.98
+    assert "each by more than 99.9 %" in note or "the least sure by" in note
 
 
 def test_dies_finer_than_the_stage_are_reported_to_lie_where_the_stage_says():

@@ -91,12 +91,25 @@ def unverifiable_field_note(number: int) -> str:
     )
 
 
+def turned_field_note(number: int, how: str) -> str:
+    """Return the note for an excluded field in a wrong orientation, a key of `TURNS`."""
+    return f"Field {number} is {how} and was left out: put its images the right way round and reconstruct it again."
+
+
+def swapped_fields_note(number: int, other: int) -> str:
+    """Return the note for two excluded fields of which each fits in the place of the other."""
+    return (
+        f"Fields {number} and {other} are swapped and were left out: give each the images of the other and reconstruct "
+        "them again."
+    )
+
+
 def judge_misfit(number: int, height: HeightMap, neighbours: Sequence[HeightMap]) -> str:
     """Return the note for an excluded field, after matching it rotated and mirrored against its neighbours."""
     fits = {how: _fits(reoriented(height, turn), neighbours) for how, turn in TURNS.items()}
     how = max(fits, key=lambda name: fits[name])
     if fits[how] * 2 >= max(1, len(neighbours)):
-        return f"Field {number} is {how} and was left out: put its images the right way round and reconstruct it again."
+        return turned_field_note(number, how)
     return (
         f"Field {number} fits {_none_of(len(neighbours))} and was left out: it belongs to another sample or lies "
         "elsewhere; scan it again."
@@ -175,25 +188,35 @@ NAMED = 8
 BY_STAGE_ALONE = "Stitched by the stage's positions alone"
 
 
-def stitching_notes(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> tuple[str, ...]:
+def stitching_notes(
+    poses: Poses,
+    pairs: NDArray[np.int32],
+    opened: Open,
+    misfits: Sequence[str] = (),
+    noted: Sequence[int] = (),
+    *,
+    stage_known: bool = False,
+) -> tuple[str, ...]:
     """Return one sentence per note; `opened` opens a height map by index and is called for odd fields only.
 
-    pairs: all fields that overlap, int32 [n, 2].
+    pairs: all fields that overlap, int32 [n, 2]; misfits: sentences on excluded fields whose indices are `noted`;
+    stage_known: whether fields without overlaps are placed with the errors of the stage at the others.
     """
     empty = list(_empty(poses, opened))
     sentences = [empty_field_note(int(poses.numbers[place])) for place in empty]
     return (
-        *_by_stage(poses, empty),
+        *_by_stage(poses, empty, ", less its errors at the fields around" if stage_known else ""),
         *_patterned(poses),
         *_along_lines(poses),
-        *_left_out(poses, pairs, opened),
+        *misfits,
+        *_left_out(poses, pairs, opened, noted),
         *_loose(poses),
         *sentences,
         *_alone(poses, pairs),
     )
 
 
-def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
+def _by_stage(poses: Poses, empty: Sequence[int], how: str) -> Iterator[str]:
     """Note the overlapping fields placed by the stage alone, except those noted for another reason."""
     by_stage = placed_by_stage(poses)
     if not by_stage.any():
@@ -210,8 +233,8 @@ def _by_stage(poses: Poses, empty: Sequence[int]) -> Iterator[str]:
         rest = across & inside if (across & inside).any() else inside
         one = np.count_nonzero(hanging) == 1
         yield (
-            f"{_listed(numbers[hanging].tolist())} {'is' if one else 'are'} placed by the stage alone: "
-            f"{_undecided(shifts, rest & ~shifts.believed)}.{_pattern_advice(shifts)}"
+            f"{_listed(numbers[hanging].tolist())} {'is' if one else 'are'} placed by the stage alone"
+            f"{how}: {_undecided(shifts, rest & ~shifts.believed)}.{_pattern_advice(shifts)}"
         )
 
 
@@ -232,12 +255,23 @@ def _pattern_advice(shifts: Shifts) -> str:
 
 def _patterned(poses: Poses) -> Iterator[str]:
     """Note the believed overlaps of a pattern that repeats: their pictures alone do not tell by how many periods."""
-    n = int(np.count_nonzero(poses.shifts.repeats & poses.shifts.believed))
-    if n:
+    patterned = poses.shifts.repeats & poses.shifts.believed
+    sure = poses.overlap_period_probability[patterned]
+    sure = sure[np.isfinite(sure)]
+    if patterned.any():
         yield (
-            f"{n} of {poses.shifts.first.size} overlaps show a repeating pattern: which period is right was decided by "
-            "the stage and all overlaps together."
+            f"{int(patterned.sum())} of {poses.shifts.first.size} overlaps show a repeating pattern: which period is "
+            f"right was decided by the stage and all overlaps together{_least_sure(sure)}. Fields that were swapped "
+            "look alike there, and are found only where something tells them apart."
         )
+
+
+def _least_sure(sure: NDArray[np.float64]) -> str:
+    """Return ``, the least sure by 99.2 %``, or an empty string."""
+    if not sure.size:
+        return ""
+    least = float(sure.min())
+    return ", each by more than 99.9 %" if least > 0.999 else f", the least sure by {100 * least:.3g} %"
 
 
 def _along_lines(poses: Poses) -> Iterator[str]:
@@ -258,8 +292,8 @@ def _along_lines(poses: Poses) -> Iterator[str]:
         )
 
 
-def _left_out(poses: Poses, pairs: NDArray[np.int32], opened: Open) -> Iterator[str]:
-    for place in np.flatnonzero(poses.left_out).tolist():
+def _left_out(poses: Poses, pairs: NDArray[np.int32], opened: Open, noted: Sequence[int]) -> Iterator[str]:
+    for place in np.setdiff1d(np.flatnonzero(poses.left_out), noted).tolist():
         adjacent = pairs[(pairs == place).any(axis=1)]
         others = [n for n in adjacent[adjacent != place].tolist() if not poses.left_out[n]]
         yield judge_misfit(int(poses.numbers[place]), opened(place), [opened(n) for n in others])
