@@ -92,7 +92,8 @@ SCENES: dict[str, dict[str, Any]] = {
 class MadeGrid:
     """Fields of a drawn grid as the stitcher gets them, [n], and where they truly are, (x, y) [n, 2] in um.
 
-    True places are in the axes of the camera. misfits: index in the list to what is wrong.
+    True places are in the axes of the camera. misfits: index in the list to what is wrong. clean: grey of each field
+    without noise.
     """
 
     drawn: DrawnGrid
@@ -100,6 +101,13 @@ class MadeGrid:
     true_um: Floats
     stage_um: Floats
     misfits: dict[int, str]
+    clean: tuple[NDArray[np.float32], ...]
+
+
+def narrowed(grid: DrawnGrid) -> DrawnGrid:
+    """Return the same grid with fields that overlap by 4 to 7 %, at least 10 px."""
+    rng = np.random.default_rng((6, grid.seed))
+    return replace(grid, overlap=max(float(rng.uniform(0.04, 0.07)), 10 / min(grid.shape)))
 
 
 def drawn(seed: int) -> DrawnGrid:
@@ -172,19 +180,20 @@ def made(grid: DrawnGrid) -> MadeGrid:
     swapped = [k for k, what in grid.misfits if what == "swapped"]
     seen_at = dict(zip(swapped, swapped[::-1], strict=True))
     kept = [k for k in range(grid.rows * grid.cols) if k not in grid.missing]
-    heights, light = [], _light(grid)
+    heights, clean, light = [], [], _light(grid)
     room = grid.shape[0] + 2 * MARGIN_PX, grid.shape[1] + 2 * MARGIN_PX
     foreign = _Ground(grid, room, np.random.default_rng((4, grid.seed)), other=True)
     for k in kept:
         what = misfits.get(k, "")
         one, at = (foreign, np.zeros(2)) if what == "foreign" else (ground, true[seen_at.get(k, k)])
         grey = one.seen(at, grid.shape) * light * (1 + grid.gain_sd * rng.standard_normal())
+        clean.append(_held(grey, what).astype(np.float32))
         grey = grey + grid.noise * rng.standard_normal(grid.shape)
         heights.append(_height_map(_held(grey, what), stage[k], grid.shape, rng))
     index = {k: n for n, k in enumerate(kept)}
     at_um = true[kept] * (PIXEL_UM, -PIXEL_UM)
     odd = {index[k]: what for k, what in grid.misfits}
-    return MadeGrid(grid, tuple(heights), at_um, stage[kept] * (PIXEL_UM, -PIXEL_UM), odd)
+    return MadeGrid(grid, tuple(heights), at_um, stage[kept] * (PIXEL_UM, -PIXEL_UM), odd, tuple(clean))
 
 
 def _places(grid: DrawnGrid, rng: np.random.Generator) -> tuple[Floats, Floats]:
