@@ -144,9 +144,8 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     or, where that is unknown, to the depth of field of the smallest aperture that fits the pixel size. Without enough
     curves the result is the known depth of field, at least one step.
     """
-    probe = Search(
-        recipe.focus_measure, FOCUS_WIDTH.probe_window, "argmax", 1, camera=camera_of(recipe.noise, frames.scale)
-    )
+    camera = camera_of(recipe.noise, frames.scale)
+    probe = Search(recipe.focus_measure, FOCUS_WIDTH.probe_window, recipe.peak, 1, camera=camera)  # heights are not used
     power = focus_measures()[recipe.focus_measure].power
     widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
     step_um, depth_um = frames.step_um, frames.depth_of_field_um

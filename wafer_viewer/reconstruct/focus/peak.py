@@ -57,6 +57,11 @@ class PeakEstimator:
     source: str
     blended: bool = False
 
+    @property
+    def centred(self) -> bool:
+        """True if the peak is placed by a window instead of three points."""
+        return self.code == _CENTRED
+
 
 PEAKS: dict[str, PeakEstimator] = {
     "argmax": PeakEstimator(_ARGMAX, "The sharpest frame", "eq. 6"),
@@ -320,49 +325,78 @@ def lead_of(confidence: float) -> float:
     return float(-np.log2(max(1e-9, 1.0 - confidence)))
 
 
-@lean_kernel
 def describe(
+    curves: FocusCurves,
+    source: StackSource,
+    z_um: NDArray[np.float64],
+    how: PeakInterpolation,
+    window: CentringWindow | None,
+    noise: LevelNoise,
+    spots: InterpolationScratch,
+    out: PeakScores,
+) -> None:
+    """Compute height, its noise, scores and all-in-focus grey of each pixel.
+
+    window: of a centred peak, None for one of three points. Either kind has its own kernel, so that a user waits for
+    the compiler of one only.
+    """
+    if window is None:
+        _describe(curves, source, z_um, how, noise, spots, out)
+    else:
+        _describe_centred(curves, source, z_um, how.gap, window, noise, spots, out)
+
+
+@lean_kernel
+def _describe(
     curves: FocusCurves,
     source: StackSource,
     z_um: Float64s,
     how: PeakInterpolation,
+    noise: LevelNoise,
+    spots: InterpolationScratch,
+    out: PeakScores,
+) -> None:
+    """Describe peaks of three points, one row at a time to stay in cache."""
+    for y in range(curves.peak.shape[0]):
+        _score_row(curves, source, y, how.gap, spots, out)
+        if how.blend:
+            gather_blended(curves, y, z_um, how, spots)
+        else:
+            gather(curves, y, z_um, how, spots)
+        place_row(how, spots, out.z_um[y])
+        spots.leverage_um[:] = np.nan
+        _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y])
+
+
+@lean_kernel
+def _describe_centred(
+    curves: FocusCurves,
+    source: StackSource,
+    z_um: Float64s,
+    gap: Int,
     window: CentringWindow,
     noise: LevelNoise,
     spots: InterpolationScratch,
     out: PeakScores,
 ) -> None:
-    """Compute height, its noise, scores and all-in-focus grey of each pixel, one row at a time to stay in cache."""
-    n_rows, cols = curves.peak.shape
-    for y in range(n_rows):
-        _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
-        gather(curves, y, z_um, how, spots)
-        _score(curves, y, how.gap, spots, out)
-        place_peaks(curves, y, z_um, how, window, spots, out.z_um[y])
-        row = source.top + y
-        for x in range(cols):
-            out.all_in_focus[y, x] = source.images[source.slots[curves.peak[y, x]], row, source.left + x]
+    """Describe centred peaks, one row at a time to stay in cache."""
+    for y in range(curves.peak.shape[0]):
+        _score_row(curves, source, y, gap, spots, out)
+        best, mean_level, leverage_um = curves.peak[y], spots.mean_level, spots.leverage_um
+        centre_row(curves.levels, best, y, z_um, window, spots.modulation, out.z_um[y], mean_level, leverage_um)
         _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y])
 
 
 @inlined_part
-def place_peaks(
-    curves: FocusCurves,
-    y: Int,
-    z_um: Float64s,
-    how: PeakInterpolation,
-    window: CentringWindow,
-    spots: InterpolationScratch,
-    found_um: Float32s,
+def _score_row(
+    curves: FocusCurves, source: StackSource, y: Int, gap: Int, spots: InterpolationScratch, out: PeakScores
 ) -> None:
-    """Place the peaks of row y, whose three points are gathered."""
-    if how.estimator == _CENTRED:
-        best, mean_level, leverage_um = curves.peak[y], spots.mean_level, spots.leverage_um
-        centre_row(curves.levels, best, y, z_um, window, spots.modulation, found_um, mean_level, leverage_um)
-    else:
-        spots.leverage_um[:] = np.nan
-        if how.blend:
-            gather_blended(curves, y, z_um, how, spots)
-        place_row(how, spots, found_um)
+    """Compute what does not depend on the kind of the peak: scores and all-in-focus grey of row y."""
+    _find_rivals(curves.levels, y, gap, curves.peak[y], spots.rival, spots.least)
+    _score(curves, y, gap, spots, out)
+    row = source.top + y
+    for x in range(curves.peak.shape[1]):
+        out.all_in_focus[y, x] = source.images[source.slots[curves.peak[y, x]], row, source.left + x]
 
 
 @lean_part
@@ -417,13 +451,9 @@ def _rival_row(
 
 @lean_part
 def gather(curves: FocusCurves, y: Int, z_um: Float64s, how: PeakInterpolation, spots: InterpolationScratch) -> None:
-    """Gather z and log2 of focus at the peaks of row y and on both sides of them; a centred peak takes its own."""
+    """Gather z and log2 of focus at the peaks of row y and on both sides of them."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
-    if how.estimator == _CENTRED:
-        for x in range(spots.top.size):
-            spots.top[x] = _log2(curves.best[y, x], bits, table)
-        return
     for x in range(spots.top.size):
         k = np.int64(curves.peak[y, x])
         near = min(how.reach, k, last - k)
@@ -473,12 +503,13 @@ def _score(curves: FocusCurves, y: Int, gap: Int, spots: InterpolationScratch, o
     """Compute lead, fall and contrast of the peaks of row y: against rivals, flanks and the lowest frame."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
-    for x in range(spots.top.size):
+    for x in range(curves.peak.shape[1]):
         k = np.int64(curves.peak[y, x])
         sides = max(levels[max(0, k - gap), y, x], levels[min(last, k + gap), y, x])
-        out.lead[y, x] = spots.top[x] - _log2(spots.rival[x], bits, table)
-        out.contrast[y, x] = spots.top[x] - _log2(spots.least[x], bits, table)
-        out.fall[y, x] = spots.top[x] - _log2(sides, bits, table)
+        top = _log2(curves.best[y, x], bits, table)
+        out.lead[y, x] = top - _log2(spots.rival[x], bits, table)
+        out.contrast[y, x] = top - _log2(spots.least[x], bits, table)
+        out.fall[y, x] = top - _log2(sides, bits, table)
 
 
 @inline_kernel

@@ -14,7 +14,7 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -26,8 +26,6 @@ from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.numerics.filters.sliding_filters import repeated
 from wafer_viewer.numerics.jit import (
-    Float32s,
-    Float64s,
     Int,
     Int32s,
     UInt16s,
@@ -57,8 +55,6 @@ from wafer_viewer.reconstruct.focus.peak import (
     PeakInterpolation,
     Peaks,
     describe,
-    gather,
-    place_peaks,
 )
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
@@ -109,6 +105,10 @@ class Search:
         blend = self.blend if how.blended else 0
         power = float(focus_measures()[self.measure].power)
         return PeakInterpolation(how.code, power, self.gap, self.reach, blend, self.floored)
+
+    def centring(self, z_um: NDArray[np.float64]) -> CentringWindow | None:
+        """Return the window of a centred peak for frames at z_um, None for other peaks."""
+        return CentringWindow.of(z_um, self.sigma) if PEAKS[self.estimator].centred else None
 
     def noise(self, dtype: np.dtype[Any]) -> LevelNoise:
         """Return the noise of the levels in frames of a dtype, if the estimator propagates it."""
@@ -207,8 +207,8 @@ def find_peaks(
     out: Peaks,
 ) -> None:
     """Compute the peaks of measured frames and store them in `out`."""
-    window, noise = CentringWindow.of(z_um, search.sigma), search.noise(out.all_in_focus.dtype)
-    describe(curves, source, z_um, search.placing, window, noise, spots, out.scores)
+    noise = search.noise(out.all_in_focus.dtype)
+    describe(curves, source, z_um, search.placing, search.centring(z_um), noise, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 
@@ -260,8 +260,11 @@ class NoiseScores:
 
 
 def noise_scores(search: Search, n_frames: int) -> NoiseScores:
-    """Return the scores on a fixed patch of white noise of `n_frames` frames."""
-    scored = Search(search.measure, search.window, "argmax", search.gap, camera=_CAMERA, lag=search.lag)
+    """Return the scores on a fixed patch of white noise of `n_frames` frames; they do not depend on the estimator.
+
+    Heights are placed all the same, by the kernel that is compiled for the search anyway.
+    """
+    scored = Search(search.measure, search.window, search.estimator, search.gap, camera=_CAMERA, lag=search.lag)
     return _noise_scores(scored, n_frames)
 
 
@@ -331,46 +334,34 @@ def wide_heights(
     border the border levels repeat. `peaks` must have its coarse volume.
     """
     n_frames, n_rows, cols = peaks.coarse.shape
-    cells = cells or wide_cells(search.window)
-    curves = FocusCurves.make(n_frames, (1, cols))
+    cells, z_um = cells or wide_cells(search.window), np.asarray(z_um, np.float64)
+    wide = replace(search, floored=False)
     spots = InterpolationScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
     line = aligned((cols + cells - 1,), np.int32)
-    out = np.empty((n_rows, cols), np.float32)
-    _search_rows(
-        peaks.coarse,
-        cells,
-        line,
-        np.asarray(z_um, np.float64),
-        search.placing._replace(floored=False),
-        CentringWindow.of(np.asarray(z_um, np.float64), search.sigma),
-        curves,
-        spots,
-        out,
-    )
-    return repeated(out, COARSE_PX, peaks.z_um.shape)
+    found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
+    for rows in stripes(n_rows):
+        part = found.rows(rows)
+        curves = FocusCurves.make(n_frames, part.z_um.shape)
+        _average_levels(peaks.coarse, cells, rows.start, line, curves)
+        find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part)
+    return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)
+
+
+def _no_grey(n_frames: int, part: Peaks) -> StackSource:
+    """Return black frames for peaks whose heights alone are wanted."""
+    black = np.zeros((1, *part.z_um.shape), part.all_in_focus.dtype)
+    return StackSource.of(black, np.zeros(n_frames, np.intp), 0, 0, 256)
 
 
 @lean_kernel
-def _search_rows(
-    coarse: UInt16s,
-    cells: Int,
-    line: Int32s,
-    z_um: Float64s,
-    how: PeakInterpolation,
-    window: CentringWindow,
-    curves: FocusCurves,
-    spots: InterpolationScratch,
-    out: Float32s,
-) -> None:
-    only = np.int64(0)  # a plain 0 has another type, for which numba would compile the kernel again
-    for y in range(out.shape[0]):
-        curves.best[:] = 0
-        curves.peak[:] = 0
-        for k in range(coarse.shape[0]):
-            _average(coarse, k, y, cells, line, curves.levels[k, 0])
-            note(curves.levels[k, 0], np.uint16(k), curves.best[0], curves.peak[0])
-        gather(curves, only, z_um, how, spots)
-        place_peaks(curves, only, z_um, how, window, spots, out[y])
+def _average_levels(coarse: UInt16s, cells: Int, first: Int, line: Int32s, curves: FocusCurves) -> None:
+    """Fill curves with the averages of coarse levels, from row `first` on."""
+    curves.best[:] = 0
+    curves.peak[:] = 0
+    for k in range(coarse.shape[0]):
+        for y in range(curves.best.shape[0]):
+            _average(coarse, k, first + y, cells, line, curves.levels[k, y])
+            note(curves.levels[k, y], np.uint16(k), curves.best[y], curves.peak[y])
 
 
 @inlined_part
