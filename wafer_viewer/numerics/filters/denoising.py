@@ -215,30 +215,43 @@ def pair_mean(z: Float32s, limit: Real) -> Float32s:
     """Average each pixel with the pairs within 4 pixels whose mean differs by at most `limit`; NaN stays NaN."""
     out = np.empty_like(z)
     padded = np.pad(z, PAIR_REACH_PX, constant_values=np.nan)
-    _average(padded, np.float32(limit), np.empty((2, z.shape[1]), np.float32), out)
+    _average(padded, np.float32(limit), out)
     return out
 
 
 @lean_kernel
-def _average(padded: Float32s, limit: Real, scratch: Float32s, out: Float32s) -> None:
-    """Average with the pixel itself at half weight, because the mean of a pair has half the variance of a pixel."""
-    total, count = scratch[0], scratch[1]
+def _average(padded: Float32s, limit: Real, out: Float32s) -> None:
+    """Average with the pixel itself at half weight, because the mean of a pair has half the variance of a pixel.
+
+    All pairs of a pixel are taken together, so that their sums stay in registers.
+    """
+    reach, half, zero = PAIR_REACH_PX, np.float32(0.5), np.float32(0)
     for r in range(out.shape[0]):
-        centre_line = padded[r + PAIR_REACH_PX, PAIR_REACH_PX:]
-        total[:] = 0.0
-        count[:] = 0.5
-        for down in range(0, PAIR_REACH_PX + 1, _STRIDE_PX):
+        middle = padded[r + reach]
+        above_2, above, below, below_2 = (
+            padded[r],
+            padded[r + reach // 2],
+            padded[r + 3 * reach // 2],
+            padded[r + 2 * reach],
+        )
+        for x in range(out.shape[1]):
+            z, total, count = middle[x + reach], zero, half
+            for right in range(_STRIDE_PX, PAIR_REACH_PX + 1, _STRIDE_PX):
+                off = half * (middle[x + reach + right] + middle[x + reach - right]) - z
+                agrees = abs(off) <= limit
+                total += off if agrees else zero
+                count += np.float32(agrees)
             for right in range(-PAIR_REACH_PX, PAIR_REACH_PX + 1, _STRIDE_PX):
-                if down > 0 or right > 0:
-                    ahead = padded[r + PAIR_REACH_PX + down, PAIR_REACH_PX + right :]
-                    behind = padded[r + PAIR_REACH_PX - down, PAIR_REACH_PX - right :]
-                    for x in range(total.size):
-                        off = np.float32(0.5) * (ahead[x] + behind[x]) - centre_line[x]
-                        agrees = abs(off) <= limit
-                        total[x] += off if agrees else np.float32(0.0)
-                        count[x] += np.float32(agrees)
-        for x in range(total.size):
-            out[r, x] = centre_line[x] + total[x] / count[x]
+                off = half * (below[x + reach + right] + above[x + reach - right]) - z
+                agrees = abs(off) <= limit
+                total += off if agrees else zero
+                count += np.float32(agrees)
+            for right in range(-PAIR_REACH_PX, PAIR_REACH_PX + 1, _STRIDE_PX):
+                off = half * (below_2[x + reach + right] + above_2[x + reach - right]) - z
+                agrees = abs(off) <= limit
+                total += off if agrees else zero
+                count += np.float32(agrees)
+            out[r, x] = z + total / count
 
 
 NEIGHBOUR_REACH_PX = 3
