@@ -166,8 +166,7 @@ def centre_row(
         _begin(best, start, z_um, window)
         for turn in range(_TURNS):
             if turn == 0:
-                for i in range(_LANES):
-                    _take_taps(levels, y, start, i, window, modulation)
+                _take_all_taps(levels, y, start, window, modulation)
             else:
                 _surround(levels, y, start, z_um, window, modulation)
             if turn == 0 and window.even and _is_inside(window):
@@ -179,6 +178,26 @@ def centre_row(
         for i in range(min(_LANES, found_um.size - start)):
             found_um[start + i] = z_um[window.at[i]] + window.shift[i] * window.step_um
         _spread(window, mean_level[start:], leverage_um[start:])
+
+
+@lean_part
+def _take_all_taps(levels: UInt16s, y: Int, start: Int, window: CentringWindow, modulation: Float32s) -> None:
+    """Gather the taps of all pixels, one after the other.
+
+    The levels of a pixel lie a stripe apart, which is a multiple of a page or nearly so: they compete for a few lines
+    of the cache, and neighbouring pixels share these lines if they are read together.
+    """
+    last_k, last_x, n_taps = levels.shape[0] - 1, levels.shape[2] - 1, window.taps.shape[1]
+    for j in range(n_taps):
+        focus = window.taps[2, j]
+        for i in range(_LANES):
+            k = min(max(window.at[i] + j - n_taps // 2, 0), last_k)
+            focus[i] = modulation[levels[k, y, min(start + i, last_x)]]
+    if not window.even:
+        for j in range(n_taps):
+            for i in range(_LANES):
+                window.taps[0, j, i] = window.distance[window.at[i], j]
+                window.taps[1, j, i] = window.weight[window.at[i], j]
 
 
 @inline_kernel
