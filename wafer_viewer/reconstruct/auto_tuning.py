@@ -145,7 +145,9 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     curves the result is the known depth of field, at least one step.
     """
     camera = camera_of(recipe.noise, frames.scale)
-    probe = Search(recipe.focus_measure, FOCUS_WIDTH.probe_window, recipe.peak, 1, camera=camera)  # heights are not used
+    probe = Search(
+        recipe.focus_measure, FOCUS_WIDTH.probe_window, recipe.peak, 1, camera=camera
+    )  # heights are not used
     power = focus_measures()[recipe.focus_measure].power
     widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
     step_um, depth_um = frames.step_um, frames.depth_of_field_um

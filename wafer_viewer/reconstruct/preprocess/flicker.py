@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -169,8 +170,7 @@ def _roughness(log: Gains, as_good: float) -> Callable[[Gains], Gains]:
     as_good: largest prediction error relative to the smallest one; of such curves the smoothest is taken.
     Single frames that differ far more than the others do not bend the curve.
     """
-    bends = np.diff(np.eye(len(log)), 2, axis=0)
-    stiffness, modes = np.linalg.eigh(bends.T @ bends)
+    stiffness, modes = _bending_modes(len(log))
 
     def removed(penalty: float) -> Gains:
         weight = penalty * np.maximum(stiffness, 0.0)
@@ -181,6 +181,17 @@ def _roughness(log: Gains, as_good: float) -> Callable[[Gains], Gains]:
     smoothest = np.flatnonzero(errors <= as_good * errors.min())[-1]
     kept = 1 - removed(float(penalties[smoothest]))
     return lambda values: values - modes @ (kept * (modes.T @ _without_outliers(values)))
+
+
+@lru_cache(maxsize=8)
+def _bending_modes(n: int) -> tuple[Gains, Gains]:
+    """Return the stiffness of the bending modes of n frames, and the modes in columns.
+
+    Kept, because threads of LAPACK that wait for a busy processor take half a second for a hundred frames.
+    """
+    bends = np.diff(np.eye(n), 2, axis=0)
+    stiffness, modes = np.linalg.eigh(bends.T @ bends)
+    return stiffness, modes
 
 
 def _without_outliers(log: Gains) -> Gains:
