@@ -13,7 +13,7 @@ from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import Progressed
 from wafer_viewer.compute.task_runner import LocalRunner, crew_for
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.session.surface.worker_tasks import warm_up
+from wafer_viewer.session.surface.worker_tasks import WARM_UP
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_a_work_is_led_by_the_host_while_single_tasks_go_first(patience_s):
         if isinstance(event, Progressed) and event.work == "endless":
             moving.set()
 
-    compute = Compute(None, warm_up, hear, lambda code: None)
+    compute = Compute(None, WARM_UP, hear, lambda code: None)
     try:
         assert compute.lead("squares", worker_tasks.lead_squares, 200).result(patience_s) == sum(
             i * i for i in range(200)

@@ -404,9 +404,10 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
         move: Home the stage, move each axis by a mm at most and over its index mark, if it has one, and back.
     """
     from wafer_viewer.session.core.environment_check import check_environment
-    from wafer_viewer.session.surface.worker_tasks import warm_up
+    from wafer_viewer.session.surface.worker_tasks import compiling_beside, warm_up
 
-    return print_checks(check_environment(_config(rig), data.expanduser(), warm_up, move=move))
+    with compiling_beside():
+        return print_checks(check_environment(_config(rig), data.expanduser(), warm_up, move=move))
 
 
 def positioners(rig: File = None, move: Annotated[tuple[str, ...], arg(metavar="NAME=POSITION ...")] = ()) -> None:

@@ -17,7 +17,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from itertools import count
@@ -47,6 +47,18 @@ class Reply:
     number: int
     value: Any = None
     error: WaferViewerError | None = None
+
+
+@contextlib.contextmanager
+def alongside(work: Callable[[], None]) -> Generator[None]:
+    """Run `work` in a process of its own, which ends with the block at the latest; nobody depends on it."""
+    process = get_context("spawn").Process(target=work, name="wafer-viewer beside", daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.join()
 
 
 class ChildProcess:

@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from wafer_viewer.compute.child_process import ChildProcess
-from wafer_viewer.compute.messages import Answer, Args, Cancel, LedTask, RunLedTask, RunTask, WatchedTask
+from wafer_viewer.compute.messages import Answer, Args, Cancel, LedTask, RunLedTask, RunTask, WarmUp, WatchedTask
 from wafer_viewer.compute.task_runner import require_tls
 
 
@@ -16,13 +16,13 @@ class Compute:
     """Client that runs tasks in worker processes; imports nothing heavy. Use it from one thread.
 
     scheduler: the address of a cluster that runs already, tls://HOST:PORT. Raises ComputeError for another kind.
-    warm_up: function that every worker runs first, so that its first task does not wait for compilation.
+    warm_up: what workers compile before their first tasks.
     """
 
     def __init__(
         self,
         scheduler: str | None,
-        warm_up: Callable[[], None],
+        warm_up: WarmUp,
         on_event: Callable[[Any], None],
         on_exit: Callable[[int | None], None],
     ) -> None:
@@ -55,7 +55,7 @@ class Compute:
             self._link.close()
 
 
-def _host(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
+def _host(pipe: Connection, scheduler: str | None, warm_up: WarmUp) -> None:
     from wafer_viewer.compute.compute_host import run_compute
 
     run_compute(pipe, scheduler, warm_up)

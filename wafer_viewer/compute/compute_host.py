@@ -28,6 +28,7 @@ from wafer_viewer.compute.messages import (
     Progressed,
     RunLedTask,
     RunTask,
+    WarmUp,
     run_watched,
     stop_sign,
     throttled,
@@ -40,7 +41,7 @@ RUN_PRIORITY = 10
 """Priority of single tasks, such as a field of the running scan, over the tasks of a led work."""
 
 
-def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
+def run_compute(pipe: Connection, scheduler: str | None, warm_up: WarmUp) -> None:
     """Run the compute host until the pipe ends."""
     run_in_background(NICENESS)
     end = ChildConnection(pipe)
@@ -56,8 +57,8 @@ def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], N
 class Host:
     """Dispatcher between the pipe and the cluster."""
 
-    def __init__(self, client: Client, end: ChildConnection, warm_up: Callable[[], None]) -> None:
-        self._client, self._end, self._warm_up_worker = client, end, warm_up
+    def __init__(self, client: Client, end: ChildConnection, warm_up: WarmUp) -> None:
+        self._client, self._end, self._warm_up_with = client, end, warm_up
         self._futures: dict[int, Future[Any]] = {}
         self._warming: list[Future[Any]] = []
         self._leader = ThreadPoolExecutor(1, "lead")  # one after the other: two could write to the same mosaic
@@ -133,18 +134,22 @@ class Host:
             self._end.refuse(request, _sentence(request.command, done))
 
     def _warm_up(self, addresses: list[str]) -> None:
-        """Compile the kernels on one worker, which is enough to begin; the others then load them from the cache."""
-        first, *others = addresses
+        """Compile what the first tasks need on one worker, which is enough to begin, helped by a second one.
+
+        Then all load what was compiled, and compile the rest.
+        """
+        warm_up, first, others = self._warm_up_with, addresses[0], addresses[1:]
 
         def warmed(_: Future[Any]) -> None:
             self._end.tell(ComputeWarm())
-            self._warming += [self._warm_up_one(address) for address in others]
+            self._warming += [self._warm_up_one(warm_up.complete, address) for address in (*others, first)]
 
-        self._warming = [self._warm_up_one(first)]
+        self._warming = [self._warm_up_one(warm_up.first, first)]
+        self._warming += [self._warm_up_one(warm_up.beside, address) for address in others[:1]]
         self._warming[0].add_done_callback(warmed)
 
-    def _warm_up_one(self, address: str) -> Future[Any]:
-        return self._client.submit(self._warm_up_worker, workers=[address], pure=False)
+    def _warm_up_one(self, warm_up: Callable[[], None], address: str) -> Future[Any]:
+        return self._client.submit(warm_up, workers=[address], pure=False)
 
 
 def _sentence(command: RunTask | RunLedTask, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:

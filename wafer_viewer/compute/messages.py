@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, TypeVarTuple
 
@@ -48,8 +49,20 @@ class ComputeUp:
 
 
 @dataclass(frozen=True, slots=True)
+class WarmUp:
+    """Functions by which workers compile kernels, or load what others have compiled.
+
+    first: all that the first tasks need; beside: a part of it and more, on a second worker meanwhile; complete: all.
+    """
+
+    first: Callable[[], None]
+    beside: Callable[[], None]
+    complete: Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
 class ComputeWarm:
-    """Every kernel is compiled, so that fields can be reconstructed without delay."""
+    """The kernels of the first tasks are compiled, so that fields can be reconstructed without delay."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,11 @@ def source_fingerprint() -> str:
 setattr(numba_config, "CACHE_DIR", str(cache_folder()))  # noqa: B010 - numba makes its settings at run time
 
 
+def is_anything_compiled() -> bool:
+    """Return whether the cache holds any kernel of this state of the sources."""
+    return any(cache_folder().rglob("*.nbi"))
+
+
 def kernel(function: F) -> F:
     """Compile a module-level function once per machine; it runs without the GIL."""
     return cast(F, numba.njit(cache=True, nogil=True)(function))

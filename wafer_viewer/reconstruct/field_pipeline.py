@@ -19,12 +19,13 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.progress import Progress, silent
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.frame_health import FrameHealth, flicker_u_um, interpolation_u_um, jitter_u_um
 from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
-from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled
+from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled, settle_cleaning
 from wafer_viewer.reconstruct.focus.all_in_focus import FrameFit, all_in_focus, membrane
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import (
@@ -371,12 +372,35 @@ def is_representative(surface: HeightMap) -> bool:
 
 def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
     """Compile every kernel, or load the cached compilation, using a tiny stack that is sharp in the middle."""
-    n_frames = LEAST_FRAMES  # in fewer the windows are not compared
-    sharp = 5 + 40 * np.exp(-((np.arange(n_frames) - n_frames // 2) ** 2.0))[:, None, None]
-    grey = (128 + sharp * np.random.default_rng(0).normal(0, 1, (n_frames, 48, 64))).clip(0, 255).astype(dtype)
-    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
-    stack = FieldStack(field, grey, np.arange(float(n_frames)), np.ones(n_frames, bool), 1.0)
+    stack = _tiny_stack(dtype)
     reconstruct(stack, recipe, threads=1)
     membrane(np.where(np.eye(4, dtype=np.bool_), np.float32(0), np.float32(np.nan)))
     if recipe.edges != "none":
         warm_up_edges(prepare(stack), window=9)
+
+
+def warm_up_backwards() -> None:
+    """Compile or load the kernels of the stages after the peak search, the last stage first.
+
+    For a process beside one that runs `warm_up`: the two meet halfway, because each loads what the other has compiled.
+    """
+    frames = prepare(_tiny_stack(np.uint8))
+    z_um = np.random.default_rng(1).normal(0, 0.1, frames.shape).astype(np.float32)
+    z_um[::7, ::5], z_um[::9, ::11] = 5.0, np.nan
+    uncertainty_um(np.ones_like(z_um), z_um, 9, 2, 0.1, FrameHealth())
+    peaks = Peaks.empty(frames.shape, frames.dtype)
+    for layer in (*peaks.scores, peaks.at_end, peaks.clipped):
+        layer[:] = 0
+    all_in_focus(peaks, z_um, np.isfinite(z_um), 0.0, FrameFit.of(frames, 3.0))
+    recipe = settle_cleaning([z_um], replace(Recipe(), window=9, focus_width_um=3.0), 1.0)
+    clean(z_um, 1.0, recipe, 1.0, np.zeros(frames.shape, np.bool_))
+    warm_up_edges(frames, window=9)
+
+
+def _tiny_stack(dtype: Any) -> FieldStack:
+    """Return a stack of a few pixels that is sharp in the middle."""
+    n_frames = LEAST_FRAMES  # in fewer the windows are not compared
+    sharp = 5 + 40 * np.exp(-((np.arange(n_frames) - n_frames // 2) ** 2.0))[:, None, None]
+    grey = (128 + sharp * np.random.default_rng(0).normal(0, 1, (n_frames, 48, 64))).clip(0, 255).astype(dtype)
+    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
+    return FieldStack(field, grey, np.arange(float(n_frames)), np.ones(n_frames, bool), 1.0)

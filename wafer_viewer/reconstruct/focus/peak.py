@@ -242,6 +242,16 @@ class FocusCurves(NamedTuple):
         """Allocate the curves of `shape` pixels."""
         return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
 
+    def cut(self, n_rows: int) -> FocusCurves:
+        """Return the same memory for fewer rows."""
+        return FocusCurves(fewer_rows(self.levels, n_rows), self.best[:n_rows], self.peak[:n_rows])
+
+
+def fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
+    """Return a volume [k, row, col] of fewer rows that shares the memory of `volume`."""
+    n_frames, _, cols = volume.shape
+    return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
+
 
 class LevelNoise(NamedTuple):
     """Standard deviation of a level due to the noise of the camera.

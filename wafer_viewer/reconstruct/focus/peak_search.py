@@ -43,6 +43,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     Volume,
     cores,
     note,
+    row_parts,
     source_of,
 )
 from wafer_viewer.reconstruct.focus.level_noise import level_noise
@@ -55,6 +56,7 @@ from wafer_viewer.reconstruct.focus.peak import (
     PeakInterpolation,
     Peaks,
     describe,
+    fewer_rows,
 )
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
@@ -137,14 +139,11 @@ class ThreadScratch:
 
     def cut(self, n_rows: int) -> ThreadScratch:
         """Return the same buffers for a block of fewer rows: the last stripe of a field."""
-        levels, best, peak = self.curves
-        fewer = len(best) - n_rows
+        fewer = len(self.curves.best) - n_rows
         if not fewer:
             return self
-        block = _fewer_rows(self.block, self.block.shape[1] - fewer)
-        return ThreadScratch(
-            block, FocusCurves(_fewer_rows(levels, n_rows), best[:n_rows], peak[:n_rows]), self.rows, self.spots
-        )
+        block = fewer_rows(self.block, self.block.shape[1] - fewer)
+        return ThreadScratch(block, self.curves.cut(n_rows), self.rows, self.spots)
 
 
 def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
@@ -215,12 +214,6 @@ def find_peaks(
 def stripes(n_rows: int) -> list[slice]:
     """Return the rows of a field in parts whose focus volumes fit in cache."""
     return [slice(start, min(n_rows, start + STRIPE_ROWS)) for start in range(0, n_rows, STRIPE_ROWS)]
-
-
-def _fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
-    """Return a volume [k, row, col] of fewer rows that shares the memory of `volume`."""
-    n_frames, _, cols = volume.shape
-    return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
 
 
 def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> Iterator[None]:
@@ -317,6 +310,10 @@ def coarse_step(step_um: float, depth_of_field_um: float, focus_width_um: float)
     return ()
 
 
+_WIDE_ROWS = 8
+"""Rows of coarse levels that are averaged together; their focus volume fits the L2 cache of most processors."""
+
+
 def wide_cells(window: int) -> int:
     """Return the number of coarse levels per axis to average for about twice a window.
 
@@ -339,9 +336,9 @@ def wide_heights(
     spots = InterpolationScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
     line = aligned((cols + cells - 1,), np.int32)
     found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
-    for rows in stripes(n_rows):
-        part = found.rows(rows)
-        curves = FocusCurves.make(n_frames, part.z_um.shape)
+    room = FocusCurves.make(n_frames, (min(n_rows, _WIDE_ROWS), cols))
+    for rows in row_parts(n_rows, _WIDE_ROWS):
+        part, curves = found.rows(rows), room.cut(rows.stop - rows.start)
         _average_levels(peaks.coarse, cells, rows.start, line, curves)
         find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part)
     return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)

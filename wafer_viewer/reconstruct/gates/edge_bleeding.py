@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.numerics.filters.sliding_filters import blurred, doubled, highest, lowest
+from wafer_viewer.numerics.filters.sliding_filters import blurred, doubled, highest, lowest, repeated
 from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
@@ -515,8 +515,7 @@ def _expected(
     side: NDArray[np.uint8], dark_um: NDArray[np.float32], bright_um: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return the cell height of each pixel's side; NaN for pixels on neither side."""
-    rows, cols = (np.arange(n) // COARSE_PX for n in side.shape)
-    dark, bright = (cells[rows[:, None], cols] for cells in (dark_um, bright_um))
+    dark, bright = (repeated(cells, COARSE_PX, side.shape) for cells in (dark_um, bright_um))
     return np.where(side == EdgeSide.DARK, dark, np.where(side == EdgeSide.BRIGHT, bright, np.float32(np.nan)))
 
 

@@ -21,7 +21,7 @@ from wafer_viewer.session.core.dataset_library import ENDING, summarise, today
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
-from wafer_viewer.session.surface.worker_tasks import reconstruct_field
+from wafer_viewer.session.surface.worker_tasks import compiling_beside, reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.stack_import import open_stack
@@ -90,7 +90,8 @@ def surface_of(
         numerical_aperture=numerical_aperture,
         wavelength_um=wavelength_um,
     )
-    surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
+    with compiling_beside():
+        surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
     return surface, summarise(surface, 1, result, recipe)
 
 
@@ -112,7 +113,7 @@ def make_surface(
     lock = Lock.take(data.path)
     try:
         todo = _fields_to_do(data, recipe, result, again)
-        with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
+        with compiling_beside(), hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
             crew.require_sight(data.path)
             share = 0 if not todo else 1 - STITCH_SHARE
             _reconstruct(data, result, recipe, todo, crew, partial(_part, tell, 0, share), warn)

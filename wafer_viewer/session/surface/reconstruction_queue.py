@@ -21,7 +21,7 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.state.snapshot import FieldState, SurfaceInfo
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describe_mosaic
-from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live, warm_up
+from wafer_viewer.session.surface.worker_tasks import WARM_UP, reconstruct_field, reconstruct_live
 
 
 @dataclass(slots=True)
@@ -93,7 +93,7 @@ class Reconstruction:
     ) -> None:
         self._command_queue, self._notices, self._library = command_queue, notices, library
         self._completed = completed
-        self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
+        self.compute = Compute(scheduler, WARM_UP, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
         self._failure_reported = False
         self._run: ReconstructionRun | None = None
