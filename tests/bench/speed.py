@@ -52,11 +52,13 @@ DEFAULT_GOAL_MS, CLEANING_GOAL_S, MEMORY_GOAL_MB, THREADS_GOAL = 8.0, 0.5, 600.0
 COLD_GOAL_S, WARM_GOAL_S = 6.0, 0.5
 LIVE_FRAMES, LIVE_GOAL_S = 3, 0.3
 FIRST_CALL = """
-import time
+import contextlib, sys, time
 began = time.perf_counter()
 from wafer_viewer.reconstruct.field_pipeline import warm_up
+from wafer_viewer.session.surface.worker_tasks import compiling_beside
 imported, busy = time.perf_counter(), time.process_time()
-warm_up()
+with compiling_beside() if sys.argv[1:] == ["two"] else contextlib.nullcontext():
+    warm_up()
 print(imported - began, time.perf_counter() - imported, time.process_time() - busy)
 """
 
@@ -80,10 +82,13 @@ def show_first_call() -> None:
     """A process that never compiled a kernel, and one whose kernels were compiled before."""
     with tempfile.TemporaryDirectory() as cache:
         cold_s, warm_s = (first_call_s(cache) for _ in range(2))
+    with tempfile.TemporaryDirectory() as cache:
+        shared_s = first_call_s(cache, "two")
     rows = [
         (name, *times, f"{goal:g} {met(times[2], goal)}")
         for name, times, goal in (
             ("nothing compiled before", cold_s, COLD_GOAL_S),
+            ("the same, helped by a second process", shared_s, COLD_GOAL_S),
             ("kernels compiled before", warm_s, WARM_GOAL_S),
         )
     ]
@@ -91,9 +96,11 @@ def show_first_call() -> None:
     show("Cold and warm", header, rows)
 
 
-def first_call_s(cache: str) -> tuple[float, ...]:
+def first_call_s(cache: str, processes: str = "one") -> tuple[float, ...]:
+    """Seconds of a first call; two processes: as the page, the command line and `doctor` compile."""
     environment = {**os.environ, "WAFER_VIEWER_CACHE": cache}
-    done = subprocess.run([sys.executable, "-c", FIRST_CALL], env=environment, capture_output=True, check=True)
+    command = [sys.executable, "-c", FIRST_CALL, processes]
+    done = subprocess.run(command, env=environment, capture_output=True, check=True)
     return tuple(map(float, done.stdout.split()))
 
 
