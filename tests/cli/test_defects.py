@@ -113,7 +113,7 @@ def test_areas_that_a_recipe_names_are_left_out_and_reported(
         (("--recipe", "gone.toml"), "gone.toml cannot be read"),
         (("--golden", "gone.golden.npz"), "gone.golden.npz does not exist"),
         (("--golden", "x.golden.npz", "--against", "form"), "leave --golden or --against form out"),
-        (("--other", "gone.klarf"), "gone.klarf does not exist"),
+        (("--other", "gone.klarf"), "gone.klarf cannot be read, it does not exist"),
         (("--max-per-die", "-1"), "max_per_die is -1: it must be at least 0"),
     ],
 )

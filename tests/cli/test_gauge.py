@@ -44,7 +44,7 @@ def test_the_manuals_example(study, capsys: pytest.CaptureFixture[str]):
         (LINES[:-1], "part,appraiser,value", "part 10 has 2 values of C"),
         ([*LINES, "11,A,1", "11,A,1", "11,A,1"], "part,appraiser,value", "part 11 has 0 values of B"),
         ([*LINES[:-1], "10,C,high"], "part,appraiser,value", "line 92: 'high' is not a number"),
-        ([*LINES[:-1], "10,C"], "part,appraiser,value", "line 92: None is not a number"),
+        ([*LINES[:-1], "10,C"], "part,appraiser,value", "line 92: '' is not a number"),
         (LINES, "part,who,value", "no column appraiser"),
         ([], "part,appraiser,value", "no values"),
         ([line for line in LINES if line.startswith("1,")], "part,appraiser,value", "two parts"),

@@ -36,6 +36,6 @@ def test_a_recipe_is_taken_by_name_or_file(argv: list[str]) -> None:
 
 def test_an_unknown_name_is_refused_with_the_names_there_are() -> None:
     with pytest.raises(
-        PlanError, match=r"papr cannot be read: .*: check the path, or take a ready one: default, paper"
+        PlanError, match=r"papr cannot be read, it does not exist: check the path, or take a ready one: default, paper"
     ):
         recipe_file(["--recipe", "papr"])

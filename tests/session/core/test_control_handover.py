@@ -179,7 +179,15 @@ def test_a_name_can_be_changed_and_not_emptied(control, state):
 FREE = {
     *("subscribe", "wait_until", "mosaic", "height_map", "surface_source", "poses", "frame", "frame_near", "paint"),
     *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail", "refresh_datasets"),
-    *("export_surface", "export_findings", "exchange.is_surface", "exchange.export_surface", "stop", "stop_scan"),
+    *(
+        "export_surface",
+        "export_findings",
+        "exchange.is_surface",
+        "exchange.export_surface",
+        "exchange.export_fields",
+        "stop",
+        "stop_scan",
+    ),
     *("control.arrive", "control.leave", "control.rename", "control.ask", "control.hand_over", "control.keep"),
     *("live.keep_picture", "calibration.refresh"),
     *("papers.keep_picture", "papers.write_report", "papers.contents"),

@@ -49,9 +49,12 @@ class MisfitSearchParameters:
         Number of suspects up to which a single one is searched among few fields, whatever their share.
     most_swapped : int
         Largest number of suspects whose pictures are exchanged.
-    most_gain, least_gain, least_sum : float
-        Largest logarithm of the gain by an exchange of pictures that a neighbour counts for, smallest sum of these in
-        each of both places, and smallest sum in both together.
+    most_gain : float
+        Largest logarithm of the gain by an exchange of pictures that a neighbour counts for.
+    least_gain : float
+        Smallest sum of these in each of both places.
+    least_sum : float
+        Smallest sum of these in both places together.
     reach_px : float, px
         Largest deviation from the expected place.
     """

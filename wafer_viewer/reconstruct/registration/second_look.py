@@ -29,6 +29,7 @@ STEP_PX = 4.0
 SURE_PX = 1.5
 """Uncertainty of an expected shift below which one beginning will do, in pixels."""
 _STEPS = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+"""Beginnings of a match about the expected shift, in steps along x and y."""
 _LOST = (RejectionReason.BLANK, RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH, RejectionReason.AMBIGUOUS)
 
 

@@ -248,7 +248,7 @@ def read_study(path: Path) -> NDArray[np.float64]:
             cells[line["part"].strip(), line["appraiser"].strip()].append(float(line["value"]))
         except (ValueError, TypeError, AttributeError) as fault:
             raise MeasureError(
-                f"{path.name}, line {number}: {str(line.get('value'))[:80]!r} is not a number: correct the line."
+                f"{path.name}, line {number}: {(line.get('value') or '')[:80]!r} is not a number: correct the line."
             ) from fault
     if not cells:
         raise MeasureError(f"{path.name} holds no values: {HOW}.")
