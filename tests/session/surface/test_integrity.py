@@ -123,7 +123,7 @@ def use(dataset: Path, name: str) -> None:
         r".*/comparison\.json": result.comparison,
         r".*/defects\.json": lambda: read_inspection(result.path),
         r".*/notebook\.json": lambda: read_notebook(result.path),
-        r".*/verdict\.json": lambda: stored_verdict(result),
+        r".*/verdict\.json": lambda: stored_verdict(data, result),
     }
     (found,) = [make for pattern, make in uses.items() if re.fullmatch(pattern, name)]
     found()
