@@ -277,7 +277,7 @@ def stitching_numbers(info: StitchingInfo) -> Markup:
     if info.n_periodic:
         rows.append(("– of a repeating pattern", number(info.n_periodic, 0)))
     if info.period_probability is not None:
-        rows.append(("– least sure period of these", f"{how_sure(info.period_probability)}"))
+        rows.append(("– least sure of these", _percent(info.period_probability)))
     rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
     if info.step_median_um is not None:
         rows.append(("Step left at a seam, median", _length(info.step_median_um)))
@@ -293,9 +293,13 @@ def stitching_numbers(info: StitchingInfo) -> Markup:
 def how_sure(probability: float) -> str:
     """Return a probability in words and as a number: ``practically sure, over 99.9 %`` or ``likely, 92 %``."""
     words = next(words for least, words in _SURE if probability >= least)
+    return f"{words}, {_percent(probability)}"
+
+
+def _percent(probability: float) -> str:
     if probability > _PRACTICALLY:
-        return f"{words}, over {100 * _PRACTICALLY:g}{THIN}%"
-    return f"{words}, {100 * probability:.2g}{THIN}%"
+        return f"over {100 * _PRACTICALLY:g}{THIN}%"
+    return f"{100 * probability:.3g}{THIN}%"
 
 
 def details(info: StitchingInfo) -> Markup:
