@@ -129,3 +129,6 @@ def test_check_reads_the_records_of_the_dataset_and_of_its_folder(dataset, check
     out = capsys.readouterr().out
     assert "verdict.json was altered: 'die over street' is said to be pass, and is fail" in out
     assert f"{log} was altered: the signature of line 1 does not fit its contents" in out
+    log.unlink()
+    assert main(["check", str(dataset)]) == 1
+    assert f"{log} was altered: it has 0 lines, and had 1" in capsys.readouterr().out

@@ -33,8 +33,7 @@ def check_records(data: Dataset) -> RecordReport:
     logs, faults = list[str](), list[str]()
     for name, kind in LOGS.items():
         path = folder / name
-        if path.exists():
-            _note(faults, lambda path=path, kind=kind: logs.append(_of_log(path, kind)))
+        _note(faults, lambda path=path, kind=kind: logs.extend(_of_log(path, kind)))
     _note(faults, partial(trusted_checks, folder))
     for name in data.results():
         _note(faults, partial(stored_verdict, data, data.result(name)))
@@ -49,11 +48,13 @@ def _note(faults: list[str], look: Callable[[], object]) -> None:
         faults.append(str(fault))
 
 
-def _of_log(path: Path, kind: type[Spec]) -> str:
+def _of_log(path: Path, kind: type[Spec]) -> list[str]:
+    """Return a sentence on a log, none if there is no log and never was one."""
     log = read_log(path, kind)
-    n = len(log.records)
+    if (n := len(log.records)) == 0:
+        return []
     signed = f"{log.n_signed} signed with the key {', '.join(log.keys)}" if log.n_signed else "none signed"
-    return f"{path}: {n} record{'' if n == 1 else 's'}, {signed}"
+    return [f"{path}: {n} record{'' if n == 1 else 's'}, {signed}"]
 
 
 def _require_agreement(data: Dataset, name: str) -> None:

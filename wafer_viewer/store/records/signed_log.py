@@ -77,8 +77,9 @@ def append_record(path: Path, record: Spec) -> None:
 
 def read_log(path: Path, kind: type[S]) -> SignedLog[S]:
     """Return the records of a log. Raises DatasetError when a line is damaged, or the log was altered."""
+    head = _read_head(path)  # first: a record that is signed meanwhile is in the log before it is in the head
     content = complete_lines(path)
-    keys = _verify(path, content)
+    keys = _verify(path, content, head)
     lines = content.splitlines()
     records = tuple(
         decode(_record_bytes(strip_checksum(line)), kind, f"{path}, line {n}", "json")
@@ -90,7 +91,7 @@ def read_log(path: Path, kind: type[S]) -> SignedLog[S]:
 def _append(path: Path, text: bytes) -> None:
     """Append a record, as JSON, and sign the new head."""
     before = complete_lines(path)
-    _verify(path, before)
+    _verify(path, before, _read_head(path))
     key, after = signing_key(path.parent), hashlib.sha256(before)
     own, value = public_key(key), key.sign(_signed_bytes(after.digest(), text)).hex()
     link = f',"link":{{"after":"{after.hexdigest()}","key":"{own}","signature":"{value}"}}}}'
@@ -108,7 +109,7 @@ def _record_bytes(line: bytes) -> bytes:
     return line if link is None else line[: link.start()] + b"}"
 
 
-def _verify(path: Path, content: bytes) -> list[str]:
+def _verify(path: Path, content: bytes, head: LogHead | None) -> list[str]:
     """Verify checksums, links and head of a log, and return the keys of its signed lines.
 
     Raises DatasetError with the line that does not fit.
@@ -130,19 +131,23 @@ def _verify(path: Path, content: bytes) -> list[str]:
             raise _altered(path, f"line {n} is not signed, those before it are")
         digest.update(line)
         digests.append(digest.hexdigest())
-    _verify_head(path, digests, keys)
+    _verify_head(path, head, digests, keys)
     _require_trusted(path, keys)
     return keys
 
 
-def _verify_head(path: Path, digests: list[str], keys: list[str]) -> None:
+def _read_head(path: Path) -> LogHead | None:
+    file = _head_path(path)
+    return load_json(file, LogHead) if file.exists() else None
+
+
+def _verify_head(path: Path, head: LogHead | None, digests: list[str], keys: list[str]) -> None:
     """Require that a log is what its head says, or continues it; digests: of the first 0, 1, … lines."""
     file = _head_path(path)
-    if not file.exists():
+    if head is None:
         if keys:
             raise _altered(path, f"its head {file} is missing, so lines at its end may be, too")
         return
-    head = load_json(file, LogHead)
     if not is_signed(_head_bytes(head.lines, head.sha256), head.key, head.signature):
         raise _altered(path, f"the signature of its head {file} does not fit")
     if len(digests) <= head.lines:
