@@ -80,6 +80,21 @@ def parser_errors_as(refusal: Callable[[Exception], WaferViewerError]) -> Genera
 
     Libraries raise errors of any kind for damage that their authors did not expect. Errors of the program itself pass
     unchanged.
+
+    Parameters
+    ----------
+    refusal : Callable[[Exception], WaferViewerError]
+        Makes the error to raise from what the parser raised.
+
+    Yields
+    ------
+    None
+        The parser runs here.
+
+    Raises
+    ------
+    WaferViewerError
+        The parser failed; what it raised is the cause.
     """
     try:
         yield
