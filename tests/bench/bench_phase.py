@@ -2,9 +2,11 @@
 
     python tests/bench/bench_phase.py [--quick] [--seed N]
 
-A plane in small stairs, blurred by a lens's transfer (`tests/truth/phase.py`), 8 bits of 15 000 electrons. The phase
+A plane in small stairs, blurred by the transfer of waves, in one case by that of rays (`tests/truth/phase.py`), 8 bits
+of 15 000 electrons. The phase
 error is the rms of the first three sine harmonics of the error over a step, without sampling noise; what it reads at a
-contrast of 5 % is mostly what is left of that noise. --quick: one aperture, one contrast and three steps.
+contrast of 5 % is mostly what is left of that noise. Beside the errors stands the standard uncertainty that heights
+carry for it. --quick: one aperture, one contrast and three steps.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from tests.bench.tables import show
 from tests.truth.phase import PhaseError, Stairs, Tilted, errors_of, phase_error, pooled, stairs
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.model.surface.frame_health import interpolation_u_um
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import focus_width, search_of
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, source_of
@@ -40,7 +43,10 @@ CASES = {
     "frames up to 0.3 step off": {"jitter": 0.3},
     "16 bits": {"bits": 16},
     "mirror grains": {"grains": 0.005},
+    "lens of rays": {"lens": "rays"},
 }
+CARRIED = "u carried by centred"
+"""Row of the standard uncertainty that a height carries."""
 FORMER = "blur_law"
 """The peak that costs are compared with."""
 
@@ -67,6 +73,12 @@ class Measured:
         source = source_of(frames, *(slice(0, n) for n in frames.shape), search.margin_px, bench.block)
         fill_volume(source, search, bench.rows, Volume(*bench.curves, peaks.clipped, peaks.coarse))
         return cls(frames, recipe, source, bench, peaks)
+
+    @property
+    def carried(self) -> float:
+        """The standard uncertainty of heights of centred peaks for the place of the frames, in steps."""
+        step_um = self.frames.step_um
+        return interpolation_u_um("centred", step_um, float(self.recipe.focus_width_um)) / step_um
 
     def search(self, peak: str) -> Search:
         return search_of(changed(self.recipe, peak=peak), self.frames.n_frames, self.frames.step_um)
@@ -123,6 +135,7 @@ def errors(scenes: Iterator[Stairs], measures: tuple[str, ...]) -> dict[tuple[st
                 measured.find(peak)
                 one = phase_error(*errors_of(seen, measured.peaks.z_um.astype(np.float64)))
                 found.setdefault((measure, peak), []).append(one)
+            found.setdefault((measure, CARRIED), []).append(PhaseError(measured.carried**2, np.nan, 0.0))
     return {name: pooled(each) for name, each in found.items()}
 
 
@@ -130,12 +143,16 @@ def show_errors(title: str, found: dict[float, dict[tuple[str, str], PhaseError]
     rows = [
         (
             f"{measure}, {peak}",
-            *(f"{one.rms:.3f} / {one.noise:.3f}" for one in (f[measure, peak] for f in found.values())),
+            *(_in_words(one) for one in (f[measure, peak] for f in found.values())),
         )
         for measure, peak in next(iter(found.values()))
     ]
     header = ("measure, peak", *(f"{step:g}" for step in found))
     show(f"Phase error rms / noise of a pixel, in steps, {title}, at a step in depths of field of", header, rows)
+
+
+def _in_words(one: PhaseError) -> str:
+    return f"{one.rms:.3f}" if np.isnan(one.noise) else f"{one.rms:.3f} / {one.noise:.3f}"
 
 
 def show_costs(steps: tuple[float, ...], seed: int) -> None:

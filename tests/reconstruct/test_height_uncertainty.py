@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.bench.bench_phase import Measured
 from tests.bench.bench_pixel_u import Honesty, plane_honesty
-from tests.truth.phase import Tilted
+from tests.truth.phase import Tilted, errors_of, phase_error, stairs
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.focus_measures import focus_measures
@@ -40,6 +42,16 @@ def test_it_covers_the_errors_of_a_noisy_plane(measure: str) -> None:
     assert found is not None
     assert 0.9 < found.within <= 1.0
     assert 0.75 < found.median < 1.25
+
+
+@pytest.mark.parametrize(("lens", "step_dof"), [("waves", 0.75), ("rays", 0.45), ("rays", 0.6), ("rays", 0.75)])
+def test_it_covers_what_coarse_steps_leave_of_either_lens(lens: Literal["waves", "rays"], step_dof: float) -> None:
+    seen = stairs(Tilted(lens=lens, step_dof=step_dof, na=0.38, seed=7))
+    measured = Measured.of(seen, "log_laplacian")
+    measured.find("centred")
+    found = phase_error(*errors_of(seen, measured.peaks.z_um.astype(np.float64)))
+    assert found.rms < 1.3 * measured.carried
+    assert measured.carried < 0.125
 
 
 def test_every_measured_height_of_a_centred_peak_has_one_and_nothing_else(make_stack: MakeStack, plane_um: NDArray):

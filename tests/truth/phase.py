@@ -1,14 +1,17 @@
-"""A textured plane in small stairs through all phases between two frames, blurred by a lens's transfer: Stokseth 1969.
+"""A textured plane in small stairs through all phases between two frames, blurred by the transfer of a lens.
 
-Every stair is a level plane, whose transfer is the same above and below its focus: a focus curve is symmetric about the
-true height, and whatever an estimate owes to the place of the frames is an odd function of the phase. Nothing is shared
-with the renderers of `views` and `bleeding`, nor with the virtual rig.
+The transfer is that of waves (Stokseth 1969), or that of rays, which blurs more near the focus: its focus curves are
+narrower at the same depth of field, and those of real lenses lie between the two. Every stair is a level plane, whose
+transfer is the same above and below its focus: a focus curve is symmetric about the true height, and whatever an
+estimate owes to the place of the frames is an odd function of the phase. Nothing is shared with the renderers of
+`views` and `bleeding`, nor with the virtual rig.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,8 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 
 WAVELENGTH_UM, PIXEL_UM = 0.55, 0.46729
+AIRY_SIGMA = 0.21
+"""Standard deviation of the Gaussian nearest to the Airy disc, in wavelengths over the aperture."""
 PHASES, STAIR_PX = 16, 4
 """Stairs a step, and their width."""
 WRONG_PERIODS = (0.37, 0.61, 1.39, 1.63, 2.43, 2.57)
@@ -33,7 +38,7 @@ class Tilted:
 
     contrast: standard deviation of the reflectance where it is sharp; grains: share of pixels with a mirror grain, six
     times as bright as the rest and seen by half of the aperture; jitter: largest deviation of a frame from even
-    distances, in steps, known to the stack. full_well_e None: a camera without noise.
+    distances, in steps, known to the stack. full_well_e None: a camera without noise. lens: whose transfer blurs.
     """
 
     na: float = 0.28
@@ -46,6 +51,7 @@ class Tilted:
     seed: int = 1
     shape: tuple[int, int] = (96, 384)
     beyond_dof: float = 5.0
+    lens: Literal["waves", "rays"] = "waves"
 
     @property
     def depth_of_field_um(self) -> float:
@@ -95,7 +101,7 @@ def stairs(scene: Tilted) -> Stairs:
     white = (2**scene.bits) - 1
     images = np.empty((len(z_um), *scene.shape), np.uint8 if scene.bits == 8 else np.uint16)
     level, column = np.unique(heights_um, return_inverse=True)
-    transfer, half = Transfer(scene.shape, scene.na), Transfer(scene.shape, scene.na / 2)
+    transfer, half = (TRANSFERS[scene.lens](scene.shape, na) for na in (scene.na, scene.na / 2))
     unit_um = scene.step_um / PHASES / (8 if scene.jitter else 1)
     blurred: dict[int, Floats] = {}
     for k, z in enumerate(z_um):
@@ -153,6 +159,24 @@ class Transfer:
     def at(self, defocus_um: float) -> Floats:
         x = np.maximum(np.abs(self._per_um * defocus_um), 1e-9)
         return self._focused * 2 * j1(x) / x
+
+
+class RayTransfer:
+    """Disc of the rays out of focus, blurred by the Gaussian nearest to the Airy disc, and the area of a pixel."""
+
+    def __init__(self, shape: tuple[int, int], na: float) -> None:
+        rows, cols = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+        self._frequency = np.hypot(rows, cols) / PIXEL_UM
+        diffraction = np.exp(-2 * (np.pi * AIRY_SIGMA * WAVELENGTH_UM / na * self._frequency) ** 2)
+        self._focused = diffraction * np.sinc(rows) * np.sinc(cols)
+        self._tangent = na / np.sqrt(1 - na**2)
+
+    def at(self, defocus_um: float) -> Floats:
+        x = np.maximum(2 * np.pi * abs(defocus_um) * self._tangent * self._frequency, 1e-9)
+        return self._focused * 2 * j1(x) / x
+
+
+TRANSFERS = {"waves": Transfer, "rays": RayTransfer}
 
 
 def _unit(texture: Floats) -> Floats:

@@ -149,11 +149,11 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
         recipe.focus_measure, FOCUS_WIDTH.probe_window, recipe.peak, 1, camera=camera
     )  # heights are not used
     power = focus_measures()[recipe.focus_measure].power
-    widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
+    widths_um = np.concatenate([_widths_um(bench, peaks, power, frames.z_um) for bench, peaks in _tiles(frames, probe)])
     step_um, depth_um = frames.step_um, frames.depth_of_field_um
-    if len(widths) < FOCUS_WIDTH.enough_curves:
+    if len(widths_um) < FOCUS_WIDTH.enough_curves:
         return FocusWidth(max(step_um, depth_um), () if depth_um > 0 else (_NO_CURVES,))
-    found_um = max(step_um, step_um * float(np.percentile(widths, FOCUS_WIDTH.percentile)))
+    found_um = max(step_um, float(np.percentile(widths_um, FOCUS_WIDTH.percentile)))
     most_um = max(step_um, depth_um or _largest_depth_um(frames.pixel_um))
     if depth_um > 0 or found_um <= most_um:
         return FocusWidth(min(found_um, most_um))
@@ -194,8 +194,8 @@ def _coverage(frames: Frames, recipe: Recipe) -> float:
     return float(np.mean([np.mean(np.isfinite(z_um)) for z_um in gated_tiles(frames, search, gate)]))
 
 
-def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[np.float32]:
-    """Return the widths, in frames, of the curves of a tile that exceed half maximum once within the stack.
+def _widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the widths of the curves of a tile that exceed half maximum once within the stack.
 
     The half maximum is that of a measure that falls as the square of the blur variance, so the width characterises the
     optics whatever the measure. The lowest frame is taken as noise floor and subtracted. Crossings are interpolated
@@ -210,11 +210,13 @@ def _clean_widths(bench: ThreadScratch, peaks: Peaks, power: float) -> NDArray[n
     levels, half, over = levels[:, single], half[single], over[:, single]
     first, last = over.argmax(axis=0), len(over) - 1 - over[::-1].argmax(axis=0)
     index = np.arange(len(first))
-    rise, fall = (
-        (levels[inside, index] - half) / (levels[inside, index] - levels[outside, index])
+    rise_um, fall_um = (
+        z_um[inside]
+        + (z_um[outside] - z_um[inside])
+        * ((levels[inside, index] - half) / (levels[inside, index] - levels[outside, index]))
         for inside, outside in ((first, first - 1), (last, last + 1))
     )
-    return last - first + rise + fall
+    return fall_um - rise_um
 
 
 _GIVE_APERTURE = (

@@ -18,10 +18,16 @@ FLICKER_SHARE = 0.29
 
 From the same simulation, for steps up to 0.75 depths of field.
 """
-STEPS_DOF = (0.0, 0.6, 0.75, 0.9, 1.1)
-"""Steps in depths of field to which `CENTRED_U` belongs."""
-CENTRED_U = (0.002, 0.003, 0.006, 0.014, 0.045)
-"""Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py."""
+STEPS_DOF = (0.0, 0.6, 0.75, 0.86, 0.96, 1.07, 1.2)
+"""Steps to which `CENTRED_U` belongs, in depths of field by the width of the curve: the last is as wide as a step.
+
+Narrower curves have one bright frame, and look as wide as a step.
+"""
+CENTRED_U = (0.002, 0.003, 0.006, 0.02, 0.035, 0.06, 0.12)
+"""Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py.
+
+Of the transfers of waves and of rays, whose curves are narrower and less round, the larger counts.
+"""
 THREE_POINT_U = 0.03
 """The same for peaks through three points, rms of the blur law at any step up to a depth of field."""
 GAP_DOF = (0.4, 0.6, 0.85, 1.1, 1.45, 1.8)
