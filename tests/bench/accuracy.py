@@ -2,12 +2,14 @@
 
     python tests/bench/accuracy.py [--quick] [--only SECTION ...]
     python tests/bench/accuracy.py --scenes N --from SEED [--measures MEASURE ...] [--each]
+    python tests/bench/accuracy.py --path-traced N --from SEED [--measures MEASURE ...] [--each]
 
 Beside ours stand the rows of the paper, its method step by step, and other people's programs on the same stacks. A
 height is false when it is more than a step of 4 um off. --quick: small frames and few of them, at most a minute;
 otherwise some ten minutes. Light once traced is kept in the folder of temporary files, so that a run that was stopped
 goes on where it was. --scenes: N scenes drawn by seed from a wide distribution instead, by two renderers, the false
-share of each against a limit of its own; a second or two a scene. Tuning sees seeds below 1000.
+share of each against a limit of its own; a second or two a scene. --path-traced: N scenes by the path tracer Mitsuba 3
+(``pip install mitsuba``, and LLVM 17 or newer), two or three minutes of a core each. Tuning sees seeds below 1000.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from tests.bench.recipes import BASELINE, DEFAULT, MEASURES, METHODS, Method, un
 from tests.bench.rig_scenes import show_rig  # noqa: E402
 from tests.bench.seen import seen  # noqa: E402
 from tests.bench.tables import met, percent, show  # noqa: E402
-from tests.bench.unseen_scenes import show_scenes  # noqa: E402
+from tests.bench.unseen_scenes import show_path_traced, show_scenes  # noqa: E402
 from tests.truth.layouts import HELD_OUT, PILLBOX, TUNING, Layout, Taken  # noqa: E402
 from tests.truth.unseen import FIRST_REPORTED_SEED  # noqa: E402
 from tests.truth.views import Camera  # noqa: E402
@@ -57,15 +59,17 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small frames and few of them, at most a minute")
     parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), metavar="SECTION")
     parser.add_argument("--scenes", type=int, metavar="N", help="judge N scenes drawn by seed instead")
+    parser.add_argument("--path-traced", type=int, metavar="N", help="judge N path-traced scenes instead")
     parser.add_argument("--from", dest="first_seed", type=int, default=FIRST_REPORTED_SEED, metavar="SEED")
     parser.add_argument("--measures", nargs="+", choices=list(MEASURES), default=[DEFAULT.focus_measure])
     parser.add_argument("--each", action="store_true", help="show each scene as well")
     wanted = parser.parse_args()
-    if wanted.scenes is not None:
-        if wanted.scenes < 1:
-            parser.error("--scenes needs a number of scenes, 1 or more")
-        show_scenes(wanted.scenes, wanted.first_seed, wanted.measures, wanted.each)
-        return
+    for judge, count in ((show_scenes, wanted.scenes), (show_path_traced, wanted.path_traced)):
+        if count is not None:
+            if count < 1:
+                parser.error("--scenes and --path-traced need a number of scenes, 1 or more")
+            judge(count, wanted.first_seed, wanted.measures, wanted.each)
+            return
     for name in wanted.only:
         began = time.perf_counter()
         SECTIONS[name](wanted.quick)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +11,8 @@ import numpy as np
 
 from tests.bench.recipes import MEASURES, ungated
 from tests.bench.tables import percent, show
-from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene
+from tests.truth.path_traced import path_traced_scene
+from tests.truth.unseen import FIRST_REPORTED_SEED, Unseen, drawn_scene
 from wafer_viewer.measure.truth_comparison import Quality, quality
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
@@ -70,12 +71,7 @@ def show_scenes(count: int, first_seed: int, measures: Sequence[str], one_by_one
     with ProcessPoolExecutor() as pool:
         scenes = list(pool.map(partial(judge_scene, measures=measures), seeds))
     if one_by_one:
-        rows = [
-            (f"{scene.seed} {scene.about}, {measure}", *one_row(found))
-            for scene in scenes
-            for measure, found in scene.found.items()
-        ]
-        show("Scene by scene", ("scene, measure", "kept %", "known %", "false %", "interior", "RMSE um"), rows)
+        show_each(scenes)
     rows = []
     for renderer, parities in RENDERERS.items():
         chosen = [scene for scene in scenes if scene.seed % 2 in parities]
@@ -84,9 +80,28 @@ def show_scenes(count: int, first_seed: int, measures: Sequence[str], one_by_one
     show(f"Scenes of seeds {seeds[0]} to {seeds[-1]} ({kind})", HEADER, rows)
 
 
-def judge_scene(seed: int, measures: Sequence[str]) -> JudgedScene:
+def show_each(scenes: Sequence[JudgedScene]) -> None:
+    """Print a row for each scene and measure."""
+    rows = [
+        (f"{scene.seed} {scene.about}, {measure}", *one_row(found))
+        for scene in scenes
+        for measure, found in scene.found.items()
+    ]
+    show("Scene by scene", ("scene, measure", "kept %", "known %", "false %", "interior", "RMSE um"), rows)
+
+
+def show_path_traced(count: int, first_seed: int, measures: Sequence[str], one_by_one: bool) -> None:
+    """Print kept and false shares over a range of seeds of path-traced scenes; their paths use all cores already."""
+    scenes = [judge_scene(seed, measures, path_traced_scene) for seed in range(first_seed, first_seed + count)]
+    if one_by_one:
+        show_each(scenes)
+    rows = [(f"path tracer, {m}", count, *summary([s.found[m] for s in scenes])) for m in measures]
+    show(f"Path-traced scenes of seeds {first_seed} to {first_seed + count - 1}", HEADER, rows)
+
+
+def judge_scene(seed: int, measures: Sequence[str], draw: Callable[[int], Unseen] = drawn_scene) -> JudgedScene:
     """Reconstruct a scene by several measures."""
-    scene = drawn_scene(seed)
+    scene = draw(seed)
     inside_um = np.where(scene.interior, scene.truth_um, np.float32(np.nan))
     found = {}
     for measure in measures:

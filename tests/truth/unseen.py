@@ -104,23 +104,25 @@ class Unseen:
 def drawn_scene(seed: int, side: int = 256, faults: bool = True) -> Unseen:
     """The scene of a seed, `side` pixels wide. faults: False for the same scene without faults of the frames."""
     rng = np.random.default_rng((seed, 19))
-    instrument = _instrument(rng)
+    instrument = drawn_instrument(rng)
     if not faults:
         instrument = replace(instrument, jitter_dof=0.0, drift_px=(0.0, 0.0), flicker=0.0, flashes=0, dark=0)
     return _bled(seed, side, instrument, rng) if seed % 2 == 0 else _traced(seed, side, instrument, rng)
 
 
-def _instrument(rng: np.random.Generator) -> Instrument:
+def drawn_instrument(rng: np.random.Generator) -> Instrument:
+    """Optics, sweep and faults of a scene."""
+
     def at_times(often: float, value: float) -> float:
         return value if rng.random() < often else 0.0
 
     drift = at_times(0.2, float(rng.uniform(0.3, 2.0)))
     towards = rng.uniform(0, 2 * np.pi)
     return Instrument(
-        na=_log_uniform(rng, 0.14, 0.45),
+        na=log_uniform(rng, 0.14, 0.45),
         step_dof=float(rng.uniform(0.2, 0.9)),
         margin_um=float(rng.uniform(20, 70)),
-        full_well_e=_log_uniform(rng, 4e3, 4e4),
+        full_well_e=log_uniform(rng, 4e3, 4e4),
         read_grey=float(rng.uniform(0.2, 1.0)),
         jitter_dof=at_times(0.2, float(rng.uniform(0.01, 0.06))),
         drift_px=(drift * float(np.sin(towards)), drift * float(np.cos(towards))),
@@ -131,21 +133,22 @@ def _instrument(rng: np.random.Generator) -> Instrument:
     )
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _bled(seed: int, side: int, instrument: Instrument, rng: np.random.Generator) -> Unseen:
-    trench_px = _log_uniform(rng, 8, 90)
+    trench_px = log_uniform(rng, 8, 90)
     scene = Bleeding(
         na=instrument.na,
         step_dof=instrument.step_dof,
         trench_px=trench_px,
         pitch_px=trench_px + float(rng.uniform(90, 400)),  # with wide dies the walls may lie outside the frame
         depth_um=float(rng.uniform(10, 80)),
-        ratio=_log_uniform(rng, 1, 20),
-        die_contrast=_log_uniform(rng, 0.02, 0.3),
-        trench_contrast=_log_uniform(rng, 0.1, 0.6),
+        ratio=log_uniform(rng, 1, 20),
+        die_contrast=log_uniform(rng, 0.02, 0.3),
+        trench_contrast=log_uniform(rng, 0.1, 0.6),
         trench_grain_px=float(rng.uniform(0.8, 4.0)),
         bare_share=float(rng.choice([0.0, rng.uniform(0.0, 0.5), 1.0], p=[0.3, 0.6, 0.1])),
         sweep_um=0.0,  # the trench lies at 0; the instrument chooses the sweep
@@ -156,11 +159,11 @@ def _bled(seed: int, side: int, instrument: Instrument, rng: np.random.Generator
     )
     layers = BlurredLayers(scene, (side, side), rng)
     z_um = instrument.sweep_um(0.0, scene.depth_um)
-    true_z_um = _jittered(z_um, instrument, rng)
+    true_z_um = jittered(z_um, instrument, rng)
     light = np.stack([layers.light_at(z).astype(np.float32) for z in true_z_um])
     about = f"layers, trench {trench_px:.0f} px, {scene.depth_um:.0f} um deep, {scene.ratio:.1f}:1"
     on_die = layers.truth_um > scene.depth_um / 2
-    return _shot(seed, about, instrument, z_um, light, layers.truth_um, _wall_distance_px(on_die), rng)
+    return shot(seed, about, instrument, z_um, light, layers.truth_um, _wall_distance_px(on_die), rng)
 
 
 def _traced(seed: int, side: int, instrument: Instrument, rng: np.random.Generator) -> Unseen:
@@ -169,10 +172,10 @@ def _traced(seed: int, side: int, instrument: Instrument, rng: np.random.Generat
     optics = Optics(instrument.na, apodised, RIM_VIEWS if name == "polished rim" else VIEWS)
     truth_um = scene.truth_um
     z_um = instrument.sweep_um(float(truth_um.min()), float(truth_um.max()))
-    light = light_of(scene, optics, _jittered(z_um, instrument, rng))
+    light = light_of(scene, optics, jittered(z_um, instrument, rng))
     light /= np.float32(white_light_of(scene, light, z_um, float(rng.choice([0.0005, 0.01, 0.1]))))
     about = f"rays, {name}"
-    return _shot(seed, about, instrument, z_um, light, truth_um, scene.edge_distance_px, rng)
+    return shot(seed, about, instrument, z_um, light, truth_um, scene.edge_distance_px, rng)
 
 
 def _traced_scene(seed: int, shape: tuple[int, int], rng: np.random.Generator) -> tuple[TruthScene, str]:
@@ -180,7 +183,7 @@ def _traced_scene(seed: int, shape: tuple[int, int], rng: np.random.Generator) -
     name = str(
         rng.choice(["dies", "polished rim", "step", "plane", "cone", "cosine"], p=[0.35, 0.15, 0.15, 0.1, 0.1, 0.15])
     )
-    contrast = _log_uniform(rng, 0.05, 0.5)
+    contrast = log_uniform(rng, 0.05, 0.5)
     match name:
         case "plane":
             scene = plane(seed, shape, tilt=float(rng.uniform(0.0, 0.8)), contrast=contrast)
@@ -197,7 +200,7 @@ def _traced_scene(seed: int, shape: tuple[int, int], rng: np.random.Generator) -
 
 
 def _dies(make: Callable[..., TruthScene], seed: int, shape: tuple[int, int], rng: np.random.Generator) -> TruthScene:
-    trench_px = _log_uniform(rng, 8, 90)
+    trench_px = log_uniform(rng, 8, 90)
     return make(
         seed,
         shape,
@@ -207,18 +210,19 @@ def _dies(make: Callable[..., TruthScene], seed: int, shape: tuple[int, int], rn
         angle_deg=float(rng.choice([0.0, rng.uniform(0, 90)])),
         die_grey=float(rng.uniform(0.05, 0.5)),
         trench_grey=float(rng.uniform(0.4, 0.9)),
-        die_contrast=_log_uniform(rng, 0.03, 0.3),
-        trench_contrast=_log_uniform(rng, 0.1, 0.5),
+        die_contrast=log_uniform(rng, 0.03, 0.3),
+        trench_contrast=log_uniform(rng, 0.1, 0.5),
         bare_share=float(rng.uniform(0.0, 0.4)),
         glossy=bool(rng.random() < 0.5),
     )
 
 
-def _jittered(z_um: NDArray[np.float64], instrument: Instrument, rng: np.random.Generator) -> NDArray[np.float64]:
+def jittered(z_um: NDArray[np.float64], instrument: Instrument, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Where the frames really are."""
     return z_um + instrument.jitter_dof * instrument.depth_of_field_um * rng.standard_normal(len(z_um))
 
 
-def _shot(
+def shot(
     seed: int,
     about: str,
     instrument: Instrument,
