@@ -213,6 +213,7 @@ GROUPS = {
             State("load plan", command("Load plan…"), DIALOG),
             State("keys", keys("F1"), ".wv-sheet"),
             State("glossary", command("Glossary"), ".wv-glossary"),
+            State("audit log", command("Audit log"), ".wv-audit"),
             State("palette", keys("Control+k"), ".mantine-Spotlight-content"),
             State("plan", shows(fake.planned, "Plan"), ":text('Predicted time')"),
             State("following", shows(followed, "Plan"), ":text('from the side')"),

@@ -32,13 +32,11 @@ from wafer_viewer.cli.arguments import (
     Text,
     Um,
     Us,
-    Word,
     require_sources,
 )
 from wafer_viewer.cli.output import (
     plan_facts,
     print_check,
-    print_checks,
     print_cluster,
     print_compression,
     print_conformance,
@@ -63,6 +61,7 @@ from wafer_viewer.cli.output import (
 )
 from wafer_viewer.model.errors import MotionStopped, PlanError, RigError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.audit_trail import record
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
@@ -105,7 +104,7 @@ def serve(
         raise PlanError(f"--port is {port}: it must be between 0 and {LAST_PORT}; 0 takes a free one.")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     return_what_is_freed()
-    session = Session(data.expanduser(), _config(rig), scheduler, browse)
+    session = Session(data.expanduser(), config_of(rig), scheduler, browse)
     try:
         token = page_token(session.snapshot.data_folder, renew=new_token)
         serve_page(session, port=port, open_browser=open_browser, token=token)
@@ -244,6 +243,7 @@ def scan(
     if ended.error is not None:
         raise RigError(ended.error)
     print(f"{out}: {ended.words}")
+    record(out.absolute().parent, "Scan made", out.name, ended.words, by=operator or "")
     if ended.stopped:
         return INTERRUPTED
     status = _judged(out, job) if job.released else 0
@@ -297,6 +297,7 @@ def import_(
             says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z)
             import_surface(src[0], out, says, progress=tell)
         print(f"{out}: a surface without frames")
+        record(out.absolute().parent, "Surface imported", out.name, f"path: {src[0].name}")
         return
     with progress("Import") as tell:
         dataset = import_dataset(
@@ -312,6 +313,7 @@ def import_(
         )
     exposures = f" in {dataset.n_exposures} exposures" if dataset.n_exposures > 1 else ""
     print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames{exposures}")
+    record(out.absolute().parent, "Images imported", out.name, f"paths: {', '.join(path.name for path in src)}")
 
 
 def check(dataset: DatasetFolder) -> int:
@@ -392,24 +394,6 @@ def cluster(folder: Folder, host: Text = None) -> None:
     print_cluster(folder.absolute(), host or socket.gethostname())
 
 
-def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> int:
-    """List what this machine has and lacks, and how to fix it; status 1 when something is lacking.
-
-    Also connects to each device of the rig, says what answers, and compares the counts of the pulse box with the stage.
-    Run it after an installation: it compiles the kernels, so that the first surface does not wait for them.
-
-    Args:
-        rig: RIG.toml of the instrument; the virtual rig without it.
-        data: Folder of the datasets.
-        move: Home the stage, move each axis by a mm at most and over its index mark, if it has one, and back.
-    """
-    from wafer_viewer.session.core.environment_check import check_environment
-    from wafer_viewer.session.surface.worker_tasks import compiling_beside, warm_up
-
-    with compiling_beside():
-        return print_checks(check_environment(_config(rig), data.expanduser(), warm_up, move=move))
-
-
 def positioners(rig: File = None, move: Annotated[tuple[str, ...], arg(metavar="NAME=POSITION ...")] = ()) -> None:
     """List light, objective, zoom, tilts and rotation of a rig with their positions and ranges; move them.
 
@@ -466,7 +450,7 @@ def conformance(
     stopped = Event()
     with interrupt_stops(stopped.set):
         report = check_conformance(
-            _config(rig),
+            config_of(rig),
             move=move,
             longest_um=travel_um,
             z_um=z_um,
@@ -496,25 +480,7 @@ def _verified(report: Path, key: str, data: Path) -> int:
     return 0
 
 
-def glossary(word: Word = "") -> int:
-    """Print what the words of this program mean; status 1 when it does not know the word.
-
-    Args:
-        word: Only the terms that contain this; all without it.
-    """
-    from wafer_viewer.model.glossary import find_terms
-
-    found = find_terms(word)
-    width = max((len(term.word) for term in found), default=0)
-    for term in found:
-        source = f" [{term.source}]" if term.source else ""
-        print(f"{term.word:<{width}}  {term.meaning}{source}")
-    if not found:
-        warn(f"The glossary has no term with '{word}': wafer-viewer glossary lists all of them.")
-    return int(not found)
-
-
-def _config(rig: Path | None) -> RigConfig:
+def config_of(rig: Path | None) -> RigConfig:
     """Return the rig's configuration; that of the virtual rig without a file."""
     from wafer_viewer.rigs.rig_config import RigConfig, read_config
 
@@ -526,7 +492,7 @@ def _opened(rig: Path | None) -> Generator[Rig]:
     """Open the rig and close it at the end."""
     from wafer_viewer.rigs.rig_config import open_rig
 
-    device = open_rig(_config(rig))
+    device = open_rig(config_of(rig))
     try:
         yield device
     finally:
@@ -568,7 +534,9 @@ def release(
             trial = tried(job, against, result, tell)
         print_trial(trial)
     if not dry_run:
-        print(write_released(folder, job))
+        path = write_released(folder, job)
+        print(path)
+        record(folder, "Job released", path.name)
 
 
 def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:

@@ -55,14 +55,16 @@ COMMANDS: dict[str, CommandEntry] = {
     "report": CommandEntry("surface", "write the report of a dataset as one HTML file that prints well"),
     "why": CommandEntry("surface", "why a pixel has its height, or none"),
     "check": CommandEntry("acquisition", "test every checksum of a dataset and name missing frames"),
+    "log": CommandEntry("upkeep", "who scanned, released, changed, judged and signed what"),
     "compress": CommandEntry("acquisition", "make the frames of a dataset smaller without loss, or undo it"),
     "cluster": CommandEntry("acquisition", "make what several machines need to work together"),
     "convert": CommandEntry("surface", "write a surface in another format"),
     "fields": CommandEntry("surface", "write the fields of a stitched surface as images in place"),
-    "glossary": CommandEntry("acquisition", "what the words of this program mean"),
+    "glossary": CommandEntry("upkeep", "what the words of this program mean"),
     "conformance": CommandEntry("acquisition", "check on the rig itself that it does what a scan needs; signed report"),
     "positioners": CommandEntry("acquisition", "light, objective, zoom, tilts and rotation of a rig; moves them"),
-    "doctor": CommandEntry("acquisition", "what this machine has and lacks, and how to fix it"),
+    "doctor": CommandEntry("upkeep", "what this machine has and lacks, and how to fix it"),
+    "bundle": CommandEntry("upkeep", "write a support file without secrets"),
 }
 OWN_RECIPE = frozenset({"measure defects"})
 """Commands whose --recipe is not a reconstruction recipe; they parse it themselves."""

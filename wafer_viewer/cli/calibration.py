@@ -109,6 +109,7 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
         why: A remark.
     """
     from wafer_viewer.session.calibration.records import linearity_result
+    from wafer_viewer.session.core.audit_trail import record
     from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
     from wafer_viewer.session.gauge.signed_checks import trusted_checks
     from wafer_viewer.session.gauge.z_scale_correction import in_force, last_check
@@ -116,10 +117,13 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
     _require_name(by)
     newest = last_check(folder, ())
     name = newest.rig if rig is None else _name_of(rig)
-    checks = [record for record in trusted_checks(folder) if record.rig == name]
+    checks = [check for check in trusted_checks(folder) if check.rig == name]
     result = linearity_result(checks)
     facts = CalibratedRigFacts(name, checks[-1].check.simulated, in_force(folder, checks[-1]))
-    _print(result, None if by is None else accept(folder, facts, result, by, why))
+    path = None if by is None else accept(folder, facts, result, by, why)
+    if path is not None:
+        record(folder, "Calibration accepted", path.name, why, by=by or "")
+    _print(result, path)
 
 
 def calibrate_list(folder: DataFolder, rig: File = None, json: bool = False) -> int:

@@ -91,12 +91,15 @@ def calibrate_z(folder: DataFolder, by: Text = None, why: str = "", serial: Seri
         why: A remark.
         serial: The newest check with these blocks.
     """
+    from wafer_viewer.session.core.audit_trail import record
     from wafer_viewer.session.gauge.z_scale_correction import correct, in_force, last_check, offered
 
-    record = last_check(folder, serial)
-    before = in_force(folder, record)
-    found = offered(record, before) if by is None else correct(folder, record, before, by, why)
-    facts = {"recorded": by is not None, "rig": record.rig, "before": msgspec.to_builtins(before)}
+    check = last_check(folder, serial)
+    before = in_force(folder, check)
+    found = offered(check, before) if by is None else correct(folder, check, before, by, why)
+    if by is not None:
+        record(folder, "Scale of z corrected", check.rig, why, by=by)
+    facts = {"recorded": by is not None, "rig": check.rig, "before": msgspec.to_builtins(before)}
     print_json({**facts, **msgspec.to_builtins(found)})
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from wafer_viewer.draw.number_format import value_and_u
 from wafer_viewer.model.acquisition.plan import Price, ScanPlan
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.conformance import ConformanceReport, ConformanceResult
     from wafer_viewer.model.acquisition.exposure import FoundExposure
     from wafer_viewer.model.acquisition.positioners import PositionerState
+    from wafer_viewer.model.audit import AuditEntry
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
@@ -191,6 +193,16 @@ def print_check(data: Dataset, report: CheckReport) -> None:
             print(f"  {what}: and {len(shots) - NAMED} more")
     for fault in report.faults:
         print(f"  {fault}")
+
+
+def print_audit(entries: Iterable[AuditEntry]) -> None:
+    """Print who did what, one action a line."""
+    table = Table("Time, UTC", "Who", "Through", "Action", "Of", "", box=None, pad_edge=False)
+    for entry in entries:
+        at = entry.at.removesuffix("+00:00").replace("T", " ")
+        words = (at, entry.by, entry.through, entry.action, entry.subject, entry.detail)
+        table.add_row(*(Text(word) for word in words))
+    Console(soft_wrap=True).print(table)
 
 
 def print_lines(lines: Iterable[str]) -> None:

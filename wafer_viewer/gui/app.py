@@ -10,7 +10,6 @@ import importlib
 import io
 import logging
 import logging.handlers
-import os
 import signal
 import socket
 import threading
@@ -29,6 +28,7 @@ from wafer_viewer.gui.widgets.error_guard import log
 from wafer_viewer.gui.widgets.html import quicken
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.files.documents import read_report
+from wafer_viewer.session.files.support_bundle import viewer_log
 
 if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
@@ -156,8 +156,7 @@ def keep_log() -> None:
     """Log unexpected errors to the file ``WAFER_VIEWER_LOG``, else to one in the user's state folder."""
     if log.handlers:
         return
-    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    path = Path(os.environ.get("WAFER_VIEWER_LOG") or state / "wafer-viewer" / "viewer.log")
+    path = viewer_log()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handler: logging.Handler = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=1)

@@ -23,6 +23,7 @@ from wafer_viewer.session.acquisition.live_controller import LiveController
 from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
 from wafer_viewer.session.calibration.calibration_controller import CalibrationController
+from wafer_viewer.session.core.audit_trail import AuditTrail
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
@@ -73,6 +74,7 @@ class SessionCoordinator:
         )
         self.reopening = SessionRestore(self._folder)
         self.notices = Notifications(command_queue)
+        self.audit_trail = AuditTrail(command_queue, self.notices, self._folder)
         self.plan_editor = PlanEditor(command_queue, self._folder)
         self.library = Library(command_queue, self._folder)
         self.reconstruction = Reconstruction(
@@ -212,7 +214,7 @@ class SessionCoordinator:
         self.library.close()
         self._open_books()
 
-    @command
+    @command.audited("Scan started")
     def start_scan(self, name: str | None = None) -> Future[Path]:
         """Scan the plan into a new dataset, which is then the open one; a coarse look precedes it where it needs one.
 
@@ -260,7 +262,7 @@ class SessionCoordinator:
 
         return self.command_queue.then(self.rig.run_procedure(look), take)
 
-    @command
+    @command.audited("Scan continued")
     def continue_scan(self) -> Future[Path]:
         """Scan the missing frames of the open dataset; the future is done once the scan has started."""
         self.rig.require_idle("start another")
@@ -274,7 +276,7 @@ class SessionCoordinator:
         self.library.release_lock()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
-    @observer_command
+    @observer_command.audited("Scan stopped")
     def stop_scan(self) -> Future[None]:
         """End the scan; the future is done when the rig is at rest, at once without a scan.
 
@@ -301,7 +303,7 @@ class SessionCoordinator:
             return self.command_queue.then(self.stop_scan.run(), lambda _: True)
         return self.command_queue.then(self.rig.break_off(), lambda anything: anything or at_once.result())
 
-    @command
+    @command.audited("Surface made")
     def reconstruct(self, recipe: Recipe | None = None, result: str = DEFAULT_RESULT) -> Future[None]:
         """Recompute all heights of the open dataset and stitch them; the future is done when the surface exists."""
         shown = self.library.shown

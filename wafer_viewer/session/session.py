@@ -17,6 +17,7 @@ from wafer_viewer.session.acquisition.live_controller import LiveController
 from wafer_viewer.session.acquisition.rig_client import RigClient
 from wafer_viewer.session.calibration.calibration_controller import CalibrationController
 from wafer_viewer.session.coordinator import SessionCoordinator
+from wafer_viewer.session.core.audit_trail import AuditTrail
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.commands import forwarded, query
 from wafer_viewer.session.core.control_handover import Control
@@ -57,6 +58,7 @@ _session = _Part(lambda coordinator: coordinator)
 _library = _Part(lambda coordinator: coordinator.library)
 _files = _Part(lambda coordinator: coordinator.files)
 _notices = _Part(lambda coordinator: coordinator.notices)
+_audit = _Part(lambda coordinator: coordinator.audit_trail)
 _results = _Part(lambda coordinator: coordinator.results_store)
 _queries = _Part(lambda coordinator: coordinator.queries)
 _measuring = _Part(lambda coordinator: coordinator.queries.measuring)
@@ -119,6 +121,7 @@ class Session:
     reconstruct = _session(SessionCoordinator.reconstruct)
     cancel = _notices(Notifications.cancel)
     dismiss = _notices(Notifications.dismiss)
+    recorded_actions = _audit(AuditTrail.actions)
 
     # the surface, from any thread
     mosaic = _queries(DatasetQueries.mosaic)

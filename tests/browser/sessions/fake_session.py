@@ -21,6 +21,7 @@ from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.levelling import Levelling
@@ -53,6 +54,22 @@ from wafer_viewer.session.state.snapshot import (
 
 LIMITS = virtual_limits(540, 720)
 DATA = Path("/tmp/wafers")
+
+
+AUDITED = (
+    AuditEntry(
+        at="2026-03-02T06:12:40+00:00", by="ann", through="command line", action="Job released",
+        subject="Logic-7-3.toml", detail="revision: 3",
+    ),
+    AuditEntry(
+        at="2026-03-03T07:01:00+00:00", by="Bench", through="page", action="Scan started",
+        subject="lot42-w07-20260303.wafer", detail="name: lot42-w07-20260303",
+    ),
+    AuditEntry(
+        at="2026-03-03T07:09:12+00:00", by="Bench", through="page", action="Calibration accepted",
+        subject="2026-03-03-resolution.json", detail="by: Ann Example, why: after the objective was changed",
+    ),
+)  # fmt: skip
 
 
 class FakeSession(Recording):
@@ -103,6 +120,9 @@ class FakeSession(Recording):
         self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Any = None
     ) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)
+
+    def recorded_actions(self, subject: str = "") -> tuple[AuditEntry, ...]:
+        return AUDITED
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
         return ReadOut(21.86, 0.94, Origin.MEASURED, 0.12)

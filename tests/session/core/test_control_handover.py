@@ -178,7 +178,7 @@ def test_a_name_can_be_changed_and_not_emptied(control, state):
 
 FREE = {
     *("subscribe", "wait_until", "mosaic", "height_map", "surface_source", "poses", "frame", "frame_near", "paint"),
-    *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail", "refresh_datasets"),
+    *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail", "refresh_datasets", "recorded_actions"),
     *(
         "export_surface",
         "export_findings",

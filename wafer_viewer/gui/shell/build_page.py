@@ -40,7 +40,14 @@ from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.shell.left_panel import LeftPanel, MapClicks
 from wafer_viewer.gui.shell.lost_connection import Contact
 from wafer_viewer.gui.shell.saved_views import SavedViews, Viewpoint
-from wafer_viewer.gui.shell.shortcuts import Palette, Parts, add_shortcut_dialog, commands_of, glossary_command
+from wafer_viewer.gui.shell.shortcuts import (
+    Palette,
+    Parts,
+    add_shortcut_dialog,
+    audit_command,
+    commands_of,
+    glossary_command,
+)
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import Step, View, with_cursor
 from wafer_viewer.gui.surface.focus_evidence import WhyDock, WhyPanel
@@ -214,7 +221,14 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
 def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
     """Create the command palette and the key sheet, and add titles and hints to widgets."""
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
-    commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts, glossary_command(page)]
+    commands = [
+        *looking(scene.look_from),
+        *views.commands(),
+        *picture.commands(),
+        *of_parts,
+        glossary_command(page),
+        audit_command(page),
+    ]
     palette = Palette(page, [*commands, add_shortcut_dialog(page, commands)], views.going)
     add_titles(page, commands)
     add_hints(page.gui)

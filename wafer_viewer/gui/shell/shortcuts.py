@@ -21,6 +21,7 @@ from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_section import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
+from wafer_viewer.gui.page.audit_dialog import audit_dialog
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES
 from wafer_viewer.gui.page.import_export_dialogs import (
@@ -406,6 +407,11 @@ def glossary_command(page: Page) -> Command:
         dialog.close_button("Close")
 
     return Command("Glossary", None, show, group="Page")
+
+
+def audit_command(page: Page) -> Command:
+    """Return the command that shows the audit log."""
+    return Command("Audit log", None, lambda: audit_dialog(page), ICON.LIST_DETAILS, group="Page")
 
 
 def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:

@@ -99,7 +99,7 @@ class CalibrationController:
         simulated = self._command_queue.now.rig.simulated
         return self._command_queue.then(over, lambda result: self._found(PendingCalibration(result, base, simulated)))
 
-    @command
+    @command.audited("Calibration accepted")
     def keep(self, by: str, why: str = "") -> Path:
         """Sign the result: write its record, and apply its values to the rig's next scans.
 

@@ -25,6 +25,7 @@ from wafer_viewer.session.calibration.procedures import (
     NoiseProcedure,
     PixelProcedure,
 )
+from wafer_viewer.session.core.audit_trail import record
 from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
 from wafer_viewer.store.records.gauge_records import calibration_in_force
 
@@ -110,9 +111,10 @@ def accept_calibration(rig: Rig, folder: Path, result: CalibrationResult, by: st
     DatasetError
         If the record cannot be written.
     """
-    return accept(
-        folder, CalibratedRigFacts(rig.name, rig.simulated, require_calibration(rig, folder)), result, by, why
-    )
+    facts = CalibratedRigFacts(rig.name, rig.simulated, require_calibration(rig, folder))
+    path = accept(folder, facts, result, by, why)
+    record(folder, "Calibration accepted", path.name, why, by=by)
+    return path
 
 
 def require_calibration(rig: Rig, folder: Path) -> Calibration:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
+from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -24,7 +25,7 @@ class CommandQueue:
     """Single-threaded command queue with an immutable snapshot, which can be read without a lock.
 
     The changes of a command become visible together when it ends. `snapshot` is the published state, `now` the state
-    seen by the running command.
+    seen by the running command. audit: is told of each action that the audit log holds, with its details and outcome.
     """
 
     def __init__(self, snapshot: Snapshot) -> None:
@@ -35,6 +36,7 @@ class CommandQueue:
         self._timer: threading.Timer | None = None
         self._changed = threading.Condition()
         self._closed = False
+        self.audit: Callable[[Action, str, Future[Any]], None] = lambda action, detail, outcome: None
 
     def do(self, command: Callable[..., Any], *args: Any, **kwargs: Any) -> Future[Any]:
         """Run a command on the session's thread.

@@ -11,9 +11,11 @@ import functools
 import inspect
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
+from pathlib import Path
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
+from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import ControlHeldError
 from wafer_viewer.session.core.command_queue import CommandQueue
 
@@ -31,6 +33,8 @@ R = TypeVar("R")
 T = TypeVar("T")
 S = TypeVar("S")
 Part = TypeVar("Part")
+LONGEST_DETAIL = 300
+"""Characters of the arguments of a command in the audit log."""
 
 
 class SessionCommand(Generic[C, P, R, T]):
@@ -39,9 +43,10 @@ class SessionCommand(Generic[C, P, R, T]):
     R is the return type of the method, T the type of the future's result: the same, unless the method returns a future.
     """
 
-    def __init__(self, method: Callable[Concatenate[C, P], R], needs_control: bool) -> None:
+    def __init__(self, method: Callable[Concatenate[C, P], R], declared: CommandDeclaration) -> None:
         functools.update_wrapper(self, method)
-        self.method, self.needs_control = method, needs_control
+        self.method, self.needs_control = method, declared.needs_control
+        self.action: Action | None = declared.action
 
     @overload
     def __get__(self, controller: None, owner: type) -> SessionCommand[C, P, R, T]: ...
@@ -51,8 +56,11 @@ class SessionCommand(Generic[C, P, R, T]):
         return self if controller is None else BoundCommand(self, controller)
 
     def __call__(self, controller: C, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Submit the command to the queue of its controller."""
-        return controller._command_queue.do(self.method, controller, *args, **kwargs)
+        """Submit the command to the queue of its controller; an action of the audit log is recorded."""
+        outcome = controller._command_queue.do(self.method, controller, *args, **kwargs)
+        if self.action is not None:
+            controller._command_queue.audit(self.action, _words_of(self.method, args, kwargs), outcome)
+        return outcome
 
     @property
     def __signature__(self) -> inspect.Signature:
@@ -85,9 +93,13 @@ class BoundCommand(Generic[P, R, T]):
 
 @dataclass(frozen=True, slots=True)
 class CommandDeclaration:
-    """Decorator of the methods that run on the command queue."""
+    """Decorator of the methods that run on the command queue.
+
+    action: what the audit log calls it; None for what it does not hold.
+    """
 
     needs_control: bool
+    action: Action | None = None
 
     @overload
     def __call__(self, method: Callable[Concatenate[C, P], Future[T]]) -> SessionCommand[C, P, Future[T], T]: ...
@@ -95,7 +107,23 @@ class CommandDeclaration:
     def __call__(self, method: Callable[Concatenate[C, P], T]) -> SessionCommand[C, P, T, T]: ...
     def __call__(self, method: Callable[..., Any]) -> SessionCommand[Any, ..., Any, Any]:
         """Return the method as a command."""
-        return SessionCommand(method, self.needs_control)
+        return SessionCommand(method, self)
+
+    def audited(self, action: Action) -> CommandDeclaration:
+        """Return the decorator of commands that the audit log holds, as `action`."""
+        return replace(self, action=action)
+
+
+def _words_of(method: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> str:
+    """Return the arguments of a command that are names, numbers or files, as words."""
+    bound = inspect.signature(method).bind(None, *args, **kwargs)
+    told = {name: value.name if isinstance(value, Path) else value for name, value in bound.arguments.items()}
+    words = (
+        f"{name.replace('_', ' ')}: {value}"
+        for name, value in told.items()
+        if isinstance(value, str | int | float) and not isinstance(value, bool) and value != ""
+    )
+    return ", ".join(words)[:LONGEST_DETAIL]
 
 
 command = CommandDeclaration(needs_control=True)

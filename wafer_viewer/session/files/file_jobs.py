@@ -151,7 +151,7 @@ class FileJobs:
 
         return is_surface_file(Path(path))
 
-    @command
+    @command.audited("Images imported")
     def import_images(
         self,
         srcs: tuple[Path, ...],
@@ -182,7 +182,7 @@ class FileJobs:
         made = self._background.run(f"Import of {out.stem}", import_images, files, out, options)
         return self._command_queue.then(made.done, self._open)
 
-    @command
+    @command.audited("Surface imported")
     def import_surface(self, path: Path, says: Reading = Reading(), name: str | None = None) -> Future[Path]:
         """Import a surface file into a dataset and open it. says: values that the file does not contain."""
         src = Path(path).absolute()

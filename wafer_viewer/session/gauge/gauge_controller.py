@@ -120,7 +120,7 @@ class GaugeController:
         """Remove all repeats and start again with the same certificate and terms."""
         self._show(repeats=(), ticks=(), faces=None, signed=None)
 
-    @command
+    @command.audited("Gauge check signed")
     def sign(self, operator: str) -> GaugeRecord:
         """Sign the check and store it in the log of the data folder and as a result of the open dataset."""
         from wafer_viewer.store.records.gauge_records import sign
@@ -141,7 +141,7 @@ class GaugeController:
         self._show(signed=check)
         return record
 
-    @command
+    @command.audited("Scale of z corrected")
     def correct_scale(self, operator: str, why: str = "") -> Calibration:
         """Set the rig's z scale from the signed check, for its next scans; existing scans do not change."""
         from wafer_viewer.session.gauge.z_scale_correction import correct

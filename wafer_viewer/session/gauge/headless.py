@@ -10,6 +10,7 @@ from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeRecord, GaugeTerms, RunChart
 from wafer_viewer.model.spec import Spec, replace
+from wafer_viewer.session.core.audit_trail import record
 from wafer_viewer.session.gauge import gauge_check as work
 from wafer_viewer.session.gauge.signed_checks import trusted_checks
 from wafer_viewer.session.state.inspection_state import Faces
@@ -57,16 +58,21 @@ def sign_sources(check: GaugeCheck, src: Sequence[Path], operator: str, log: Pat
     """Sign a check and store it in the log, and in the results of the last scan if that is a dataset."""
     folder = log or src[0].parent
     signed = work.signed(check, operator, _records(src, check.certificate, log))
-    record = work.record_of(signed, _rig(src[0]), result)
+    line = work.record_of(signed, _rig(src[0]), result)
     if not is_dataset(src[-1]):
-        sign(folder, record)
+        _sign(folder, line, operator)
         return signed
     lock = Lock.take(src[-1])
     try:
-        sign(folder, record)
+        _sign(folder, line, operator)
         return _keep(Dataset.open(src[-1]), result, signed)
     finally:
         lock.release()
+
+
+def _sign(folder: Path, line: GaugeRecord, operator: str) -> None:
+    sign(folder, line)
+    record(folder, "Gauge check signed", ", ".join(line.check.certificate.serials), by=operator)
 
 
 def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um: float | None) -> History:

@@ -89,7 +89,7 @@ class DefectController:
         self._show()
         return running.done
 
-    @command
+    @command.audited("Defects judged")
     def judge(
         self,
         number: int,
@@ -113,7 +113,7 @@ class DefectController:
         self._history.put(replace(inspection, defects=defects))
         self._save()
 
-    @command
+    @command.audited("Defect limits changed")
     def limit(self, limits: DefectLimits) -> None:
         """Set the allowed number of defects per die and per wafer; `verdict_of` compares the inspection with them."""
         self._require_writable()
@@ -123,14 +123,14 @@ class DefectController:
             self._history.put(replace(inspection, recipe=replace(inspection.recipe, limits=limits)))
             self._save()
 
-    @command
+    @command.audited("Change of defects undone")
     def undo(self) -> None:
         """Undo the last change of judgements or limits."""
         self._require_writable()
         self._history.undo()
         self._save()
 
-    @command
+    @command.audited("Change of defects redone")
     def redo(self) -> None:
         """Redo the last undone change."""
         self._require_writable()

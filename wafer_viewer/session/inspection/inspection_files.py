@@ -138,7 +138,7 @@ class DefectFiles:
         golden = sorted(every_golden(self._folder / FOLDER), key=lambda header: header.name.casefold())
         self._put(recipes=recipes, golden=tuple(golden), problems=problems)
 
-    @command
+    @command.audited("Defect recipe saved")
     def save_recipe(self, recipe: DefectRecipe) -> Path:
         """Save a recipe under its product and name; an earlier one is replaced."""
         from wafer_viewer.store.records.inspection_records import save_defect_recipe
@@ -155,7 +155,7 @@ class DefectFiles:
         rename_defect_recipe(self._folder, recipe, name)
         self.refresh.run()
 
-    @command
+    @command.audited("Defect recipe deleted")
     def delete_recipe(self, recipe: DefectRecipe) -> None:
         """Delete a stored recipe and its file."""
         from wafer_viewer.store.records.inspection_records import delete_defect_recipe
@@ -163,7 +163,7 @@ class DefectFiles:
         delete_defect_recipe(self._folder, recipe)
         self.refresh.run()
 
-    @command
+    @command.audited("Golden die kept")
     def keep_golden(self, name: str) -> Future[Path]:
         """Store the typical die of the inspected surface as the next version of a name; no version is overwritten."""
         title, arguments = f"Golden die {name}", (*self._looked_at, name)

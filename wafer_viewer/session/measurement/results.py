@@ -46,7 +46,7 @@ class ResultsStore:
         self._highest = max((pictured, *(f.number for f in self._items.value)))
         self._show()
 
-    @command
+    @command.audited("Result kept")
     def keep(self, finding: AnyResult, thumbnail: bytes | None = None) -> AnyResult:
         """Add a result with a number and a name; thumbnail: a small picture of the region, JPEG."""
         self._require_writable()
@@ -63,20 +63,20 @@ class ResultsStore:
         renamed = replace(self._numbered(number), name=name.strip() or self._numbered(number).name)
         self._change(tuple(renamed if f.number == number else f for f in self._items.value))
 
-    @command
+    @command.audited("Result deleted")
     def delete(self, number: int) -> None:
         """Delete a result."""
         self._numbered(number)
         self._change(tuple(f for f in self._items.value if f.number != number))
 
-    @command
+    @command.audited("Change of results undone")
     def undo(self) -> None:
         """Undo the last change of the list."""
         self._require_writable()
         self._items.undo()
         self._save()
 
-    @command
+    @command.audited("Change of results redone")
     def redo(self) -> None:
         """Redo the change of the list that was undone last."""
         self._require_writable()
@@ -162,7 +162,7 @@ class NotebookController:
         self._numbered(number)
         self._put(views=tuple(v for v in self._history.value.views if v.number != number))
 
-    @command
+    @command.audited("Finding judged")
     def judge(self, key: str, verdict: Verdict | None = None, note: str | None = None) -> None:
         """Accept or reject an item under review, or set a note; None leaves the verdict or the note unchanged."""
         old = self._history.value.judgement(key)
@@ -175,14 +175,14 @@ class NotebookController:
             others = tuple(j for j in self._history.value.judgements if j.key != key)
             self._put(judgements=tuple(sorted((*others, new), key=lambda j: j.key)))
 
-    @command
+    @command.audited("Judgement of findings undone")
     def undo(self) -> None:
         """Undo the last change of the notebook."""
         self._require_writable()
         self._history.undo()
         self._save()
 
-    @command
+    @command.audited("Judgement of findings redone")
     def redo(self) -> None:
         """Redo the last undone change."""
         self._require_writable()

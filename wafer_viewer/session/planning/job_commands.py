@@ -47,7 +47,7 @@ class JobController:
             operating=replace(self._command_queue.now.operating, jobs=list_released(self._folder))
         )
 
-    @command
+    @command.audited("Job released")
     def release(self) -> Path:
         """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface."""
         path = self._plan_editor.release(*settled_by(self._command_queue.now))

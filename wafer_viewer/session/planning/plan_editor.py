@@ -222,7 +222,7 @@ class PlanEditor:
         """Read a job from PLAN.toml."""
         self._take_up(read_job(Path(path)))
 
-    @command
+    @command.audited("Plan saved")
     def save(self, path: Path | None = None) -> Path:
         """Write the job to PLAN.toml, next to the datasets if no path is given, and return the path."""
         from wafer_viewer.store.io.atomic_files import write_text

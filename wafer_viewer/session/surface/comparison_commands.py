@@ -57,7 +57,7 @@ class ComparisonController:
         ]
         return (*((first, other) for other in others if other != first), (raw, cleaned))
 
-    @command
+    @command.audited("Surfaces compared")
     def begin(
         self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
     ) -> Future[int]:
