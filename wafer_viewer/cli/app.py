@@ -55,6 +55,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "report": CommandEntry("surface", "write the report of a dataset as one HTML file that prints well"),
     "why": CommandEntry("surface", "why a pixel has its height, or none"),
     "check": CommandEntry("acquisition", "test every checksum of a dataset and name missing frames"),
+    "find": CommandEntry("upkeep", "find datasets by lot, wafer, product, verdict, date or name"),
     "log": CommandEntry("upkeep", "who scanned, released, changed, judged and signed what"),
     "compress": CommandEntry("acquisition", "make the frames of a dataset smaller without loss, or undo it"),
     "cluster": CommandEntry("acquisition", "make what several machines need to work together"),

@@ -15,6 +15,7 @@ from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 
 Word = Annotated[Positional[str], arg(metavar="WORD")]
+Words = Annotated[Positional[tuple[str, ...]], arg(metavar="WORD ...")]
 PlanFile = Annotated[Positional[Path], arg(metavar="PLAN.toml")]
 DatasetFolder = Annotated[Positional[Path], arg(metavar="NAME.wafer")]
 Folder = Annotated[Positional[Path], arg(metavar="FOLDER")]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
     from wafer_viewer.session.planning.preflight import PreflightCheck
-    from wafer_viewer.session.state.snapshot import SurfaceInfo
+    from wafer_viewer.session.state.snapshot import DatasetEntry, SurfaceInfo
     from wafer_viewer.store.dataset.compression import CompressionReport
     from wafer_viewer.store.dataset.dataset import CheckReport, Dataset, PassReport
     from wafer_viewer.store.dataset.integrity import Digest, KindReport
@@ -193,6 +193,16 @@ def print_check(data: Dataset, report: CheckReport) -> None:
             print(f"  {what}: and {len(shots) - NAMED} more")
     for fault in report.faults:
         print(f"  {fault}")
+
+
+def print_datasets(entries: Iterable[DatasetEntry]) -> None:
+    """Print one dataset a line."""
+    table = Table("Dataset", "Taken", "Lot", "Wafer", "Product", "Verdict", "", box=None, pad_edge=False)
+    for entry in entries:
+        signs = [word for word, yes in (("unfinished", entry.unfinished), ("SIMULATED", entry.simulated)) if yes]
+        words = (entry.path.name, entry.taken[:16].replace("T", " "), entry.lot, entry.wafer_id, entry.product)
+        table.add_row(*(Text(word) for word in (*words, entry.verdict, ", ".join(signs))))
+    Console(soft_wrap=True).print(table)
 
 
 def print_audit(entries: Iterable[AuditEntry]) -> None:

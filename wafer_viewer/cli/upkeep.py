@@ -5,11 +5,27 @@ The signature of a command defines its flags, its docstring is its help.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from wafer_viewer.cli.acquisition import DATA_FOLDER, config_of
-from wafer_viewer.cli.arguments import File, Folder, OutFile, Text, Word
-from wafer_viewer.cli.output import print_audit, print_checks, print_json, print_lines, progress, warn
+from wafer_viewer.cli.arguments import File, Folder, OutFile, Text, Word, Words
+from wafer_viewer.cli.output import print_audit, print_checks, print_datasets, print_json, print_lines, progress, warn
+
+
+def find(folder: Folder, words: Words = (), json: bool = False) -> int:
+    """Find datasets by lot, wafer, product, verdict, date or name, the newest first; status 1 when there is none.
+
+    Args:
+        folder: A data folder.
+        words: Each must be part of the name, lot, wafer, product, verdict or date, such as lot42 fail 2026-03.
+        json: Print JSON instead of a table.
+    """
+    from wafer_viewer.session.core.dataset_library import datasets_in
+
+    found = datasets_in(folder, " ".join(words))
+    print_json([{**asdict(entry), "path": str(entry.path)} for entry in found]) if json else print_datasets(found)
+    return 0 if found else 1
 
 
 def log(folder: Folder, of: Text = None, json: bool = False) -> int:

@@ -45,6 +45,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, command_button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
 
 MOST_MARKS = 400
 """Maximum number of marked review items; more marks would hide each other."""
+MANY_DATASETS = 8
+"""Datasets from which the list can be searched."""
 Drawn = tuple[tuple[Field, ...], dict[int, str], tuple[float, float] | None]
 
 
@@ -309,25 +312,41 @@ class LeftPanel:
         self.compare.show(snapshot, view)
         self.live.show(snapshot, view)
         set_prop(self._datasets, "visible", view.step in ("plan", "surface") and not view.at_bench)
-        opened = snapshot.dataset.path if snapshot.dataset else None
-        self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))
+        self._show_datasets()
         self.results.show(snapshot, view)
 
     def _build_datasets(self) -> None:
         page = self._page
         self._datasets = page.gui.add_folder(None, visible=False)
         with self._datasets:
+            self._datasets_head = HtmlBlock(page.gui)
+            self._find = page.gui.add_text(
+                "Find", "", hint="Words of the name, lot, wafer, product, verdict or date, such as lot42 fail 2026-03"
+            )
+            self._find.on_update(guarded(page, "The search failed")(lambda _: self._show_datasets()))
             self._list = HtmlBlock(page.gui)
             opener = command_button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
             importer = command_button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
             in_a_row(page.gui, [opener, importer])
 
-    def _dataset_rows(self, snapshot: Snapshot, opened: Path | None) -> Markup:
-        if not snapshot.datasets:
-            return html.empty("No datasets in", f"{_shortened(snapshot.data_folder)} yet.") + Markup(
-                '<div style="height:8px"></div>'
-            )
-        return dataset_table(snapshot.datasets, opened, "open") + Markup('<div style="height:6px"></div>')
+    def _show_datasets(self) -> None:
+        """Show the datasets that match what is searched for."""
+        snapshot = self._page.session.snapshot
+        self._datasets_head.show(html.head("Datasets", _shortened(snapshot.data_folder)))
+        set_prop(self._find, "visible", len(snapshot.datasets) >= MANY_DATASETS or bool(self._find.value))
+        self._list.show(_dataset_rows(snapshot, self._find.value))
+
+
+def _dataset_rows(snapshot: Snapshot, words: str) -> Markup:
+    if not snapshot.datasets:
+        return html.empty("No datasets in", f"{_shortened(snapshot.data_folder)} yet.") + Markup(
+            '<div style="height:8px"></div>'
+        )
+    found = tuple(entry for entry in snapshot.datasets if entry.matches(words))
+    if not found:
+        return html.empty(f"None of {len(snapshot.datasets)} datasets has all of “{words}”.")
+    opened = snapshot.dataset.path if snapshot.dataset else None
+    return dataset_table(found, opened, "open") + Markup('<div style="height:6px"></div>')
 
 
 def _shortened(folder: Path) -> str:

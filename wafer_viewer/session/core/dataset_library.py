@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
+from wafer_viewer.model.job import WaferVerdict
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
@@ -22,7 +23,7 @@ from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, FrameStorage, OpenDataset, SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.io.atomic_files import write_text
-from wafer_viewer.store.io.checksums import sealed_text, verified_text
+from wafer_viewer.store.io.checksums import load_json, sealed_text, verified_text
 from wafer_viewer.store.mosaic.layout import SURFACE
 from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
@@ -76,6 +77,7 @@ def _meet(a: Box, b: Box) -> bool:
 
 ENDING = ".wafer"
 DEFAULT_RESULT = "default"
+VERDICT = "verdict.json"
 NOTHING_OPEN = "No dataset is open: open one, import images or start a scan first."
 
 
@@ -111,9 +113,7 @@ class Library:
     @observer_command
     def refresh(self) -> None:
         """List the data folder again."""
-        paths = sorted(self._folder.glob(f"*{ENDING}")) if self._folder.is_dir() else []
-        entries = [entry for path in paths if (entry := _entry(path)) is not None]
-        self._command_queue.change(datasets=tuple(sorted(entries, key=lambda e: e.taken, reverse=True)))
+        self._command_queue.change(datasets=datasets_in(self._folder))
 
     def open(self, path: Path, *, taking: bool = False) -> None:
         """Open a dataset, for writing if no other process holds it. taking: our own rig holds it and writes frames."""
@@ -260,6 +260,13 @@ def free_name(folder: Path, wish: str) -> str:
     return next(name for name in names if not (folder / f"{name}{ENDING}").exists())
 
 
+def datasets_in(folder: Path, words: str = "") -> tuple[DatasetEntry, ...]:
+    """Return the datasets of a folder that match all words, the newest first."""
+    paths = sorted(folder.glob(f"*{ENDING}")) if folder.is_dir() else []
+    entries = [entry for path in paths if (entry := _entry(path)) is not None and entry.matches(words)]
+    return tuple(sorted(entries, key=lambda e: e.taken, reverse=True))
+
+
 def _entry(path: Path) -> DatasetEntry | None:
     """Return a list entry; None for a folder that is no dataset, or one that is being created."""
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -268,7 +275,27 @@ def _entry(path: Path) -> DatasetEntry | None:
         dataset = Dataset.open(path)
     except WaferViewerError:
         return None
-    return DatasetEntry(path, dataset.name, dataset.scan.taken, not dataset.finished, dataset.simulated)
+    job = dataset.scan.job
+    return DatasetEntry(
+        path,
+        dataset.name,
+        dataset.scan.taken,
+        not dataset.finished,
+        dataset.simulated,
+        lot=job.sample.lot,
+        wafer_id=job.sample.wafer_id,
+        product=job.product,
+        verdict=_verdict(dataset),
+    )
+
+
+def _verdict(dataset: Dataset) -> str:
+    """Return the word of the stored verdict on the newest result; empty without one, and for one that is damaged."""
+    path = dataset.result(_newest_result(dataset)).path / VERDICT
+    try:
+        return load_json(path, WaferVerdict).word if path.exists() else ""
+    except WaferViewerError:
+        return ""
 
 
 def _newest_result(dataset: Dataset) -> str:

@@ -14,14 +14,13 @@ from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Provenance
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.core.dataset_library import Library, today
+from wafer_viewer.session.core.dataset_library import VERDICT, Library, today
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.result import Result
 
-FILE = "verdict.json"
 Subject = tuple[Path, str, int]
 
 
@@ -77,7 +76,7 @@ def stored_verdict(data: Dataset, result: Result) -> WaferVerdict | None:
     from wafer_viewer.measure.verdict import contradiction
     from wafer_viewer.store.io.checksums import load_json
 
-    path = result.path / FILE
+    path = result.path / VERDICT
     if not (path.exists() and result.has_mosaic):
         return None
     verdict = load_json(path, WaferVerdict)
@@ -116,7 +115,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
         surface=_mark(mosaic.provenance),
     )
     if keep:
-        save_json(result.path / FILE, verdict)
+        save_json(result.path / VERDICT, verdict)
     return verdict
 
 

@@ -188,13 +188,27 @@ class Draft:
 
 @dataclass(frozen=True, slots=True)
 class DatasetEntry:
-    """Entry of the list of datasets in the data folder."""
+    """Entry of the list of datasets in the data folder.
+
+    taken: ISO 8601; verdict: word of the stored verdict on its surface, empty if there is none.
+    """
 
     path: Path
     name: str
     taken: str
     unfinished: bool
     simulated: bool
+    lot: str = ""
+    wafer_id: str = ""
+    product: str = ""
+    verdict: str = ""
+
+    def matches(self, words: str) -> bool:
+        """Return whether each word is part of the name, lot, wafer, product, verdict or date; case does not matter."""
+        texts = (self.path.stem, self.lot, self.wafer_id, self.product, self.verdict, self.taken[:10])
+        signs = ("unfinished" * self.unfinished, "simulated" * self.simulated)
+        told = [text.casefold() for text in (*texts, *signs)]
+        return all(any(word in text for text in told) for word in words.casefold().split())
 
 
 @dataclass(frozen=True, slots=True)
