@@ -17,6 +17,7 @@ import msgspec
 from tyro.conf import arg
 
 from wafer_viewer.cli.arguments import (
+    DATA_FOLDER,
     DatasetFolder,
     File,
     Folder,
@@ -32,6 +33,7 @@ from wafer_viewer.cli.arguments import (
     Text,
     Um,
     Us,
+    config_of,
     require_sources,
 )
 from wafer_viewer.cli.output import (
@@ -66,11 +68,9 @@ from wafer_viewer.session.core.audit_trail import record
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.job import Job
-    from wafer_viewer.rigs.rig_config import RigConfig
     from wafer_viewer.session.planning.preflight import PreflightCheck
 
 
-DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
 LAST_PORT = 65535
 
@@ -478,13 +478,6 @@ def _verified(report: Path, key: str, data: Path) -> int:
     whose = "of this data folder" if found.key == own_key(data) else "of another data folder"
     print(f"{report}: not altered since it was signed with the key {found.key}, {whose}")
     return 0
-
-
-def config_of(rig: Path | None) -> RigConfig:
-    """Return the rig's configuration; that of the virtual rig without a file."""
-    from wafer_viewer.rigs.rig_config import RigConfig, read_config
-
-    return RigConfig() if rig is None else read_config(rig)
 
 
 @contextmanager

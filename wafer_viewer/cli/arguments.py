@@ -6,13 +6,18 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
+
+if TYPE_CHECKING:
+    from wafer_viewer.rigs.rig_config import RigConfig
+
+DATA_FOLDER = Path("~/wafer-viewer")
 
 Word = Annotated[Positional[str], arg(metavar="WORD")]
 Words = Annotated[Positional[tuple[str, ...]], arg(metavar="WORD ...")]
@@ -100,3 +105,10 @@ def _numbers(words: tuple[str, ...]) -> tuple[float, ...]:
         return tuple(float(word) for word in words)
     except ValueError as fault:
         raise MeasureError(f"--level takes numbers after its first word, not '{' '.join(words)}'.") from fault
+
+
+def config_of(rig: Path | None) -> RigConfig:
+    """Return the rig's configuration; that of the virtual rig without a file."""
+    from wafer_viewer.rigs.rig_config import RigConfig, read_config
+
+    return RigConfig() if rig is None else read_config(rig)

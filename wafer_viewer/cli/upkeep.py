@@ -8,8 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from wafer_viewer.cli.acquisition import DATA_FOLDER, config_of
-from wafer_viewer.cli.arguments import File, Folder, OutFile, Text, Word, Words
+from wafer_viewer.cli.arguments import DATA_FOLDER, File, Folder, OutFile, Text, Word, Words, config_of
 from wafer_viewer.cli.output import print_audit, print_checks, print_datasets, print_json, print_lines, progress, warn
 
 
