@@ -298,7 +298,9 @@ def _fill_gradients(
                 row[0], row[1] = 2 * (r + 0.5) / n_rows - 1, 2 * (c + 0.5) / n_cols - 1
                 row[2], row[3], row[4], row[5] = pixels, first, second, s[0, 1]
                 row[6], row[7] = gain * s[1, 2] - s[0, 2], gain * s[1, 3] - s[0, 3]
-                row[8], row[9], row[10], row[11] = s[2, 2], s[2, 3], s[3, 2], s[3, 3]
+                down, right = s[1, 2] / strength, s[1, 3] / strength
+                row[8], row[11] = s[2, 2] - down * s[1, 2], s[3, 3] - right * s[1, 3]
+                row[9] = row[10] = s[2, 3] - down * s[1, 3]
                 row[12] = regressed
                 n += 1
     usual = _median(weight[:n], room[2])

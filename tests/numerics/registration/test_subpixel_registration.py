@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter
+from scipy.special import erf
 
 from wafer_viewer.numerics.block_gradients import block_sums, taps
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align
@@ -95,6 +96,23 @@ def test_along_lines_nothing_is_known():
     lines = np.tile(np.sin(np.arange(SHAPE[1]) / 2), (SHAPE[0], 1))
     found = align(*(picture(lines + rng.normal(0, 0.1, SHAPE)) for _ in range(2)), (0.0, 0.0), 20)
     assert not np.sqrt(found.covariance[0, 0]) < 0.3
+
+
+@pytest.mark.parametrize("edge_row", [1.5, 2.5])
+def test_an_edge_that_the_border_of_a_strip_cuts_is_followed_to_its_place(edge_row):
+    """A shift of such an edge changes the contrast of its block too, which a block has for itself."""
+    rng = np.random.default_rng(0)
+    rows, cols = np.indices((40, 160))
+
+    def seen(off: float) -> RegisteredImage:
+        edge = erf((rows - edge_row + off - 0.002 * cols) / 1.8)
+        across = 0.3 * erf((cols - 80 - 20 * np.sin(rows / 9)) / 1.8)
+        return picture(edge + across + rng.normal(0, 0.02, rows.shape), noise=0.02)
+
+    first, second = seen(0.0), seen(0.6)
+    ends = [align(first, second, (begun, 0.0), 20) for begun in (0.0, 0.3, 1.0)]
+    assert np.ptp([end.lag[0] for end in ends]) < 0.1
+    assert all(np.sqrt(end.covariance[0, 0]) < 0.1 for end in ends)
 
 
 def test_pixels_that_are_not_known_count_nothing():
