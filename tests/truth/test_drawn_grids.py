@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tests.bench.bench_grids import judged, limit_px
-from tests.truth.drawn_grids import drawn, made, narrowed, planted
+from tests.truth.drawn_grids import PIXEL_UM, drawn, made, narrowed, planted
+from wafer_viewer.reconstruct.registration.pair_registration import register_pair
 
 pytestmark = pytest.mark.slow
 SEEDS = {"dies": (3, 4, 9, 19, 63, 123), "dusty dies": (5, 17, 193), "lines": (2, 6, 102), "random": (11,)}
@@ -40,6 +41,14 @@ def test_what_is_random_under_the_light_of_a_lamp_has_honest_uncertainties() -> 
     found = judged(made(drawn(8)))
     assert 0.4 < (sum(e * e for e in found.normalised) / len(found.normalised)) ** 0.5 < 1.3
     assert (found.found, found.planted, found.alarms) == (1, 1, 0)
+
+
+def test_a_dent_of_the_misfit_along_a_street_is_no_place() -> None:
+    """Of the seeds below 110, this overlap was the worst: half a pixel off along the street, five times its u."""
+    grid = made(drawn(84))
+    found = register_pair(grid.heights[9], grid.heights[10])
+    assert found.u_x_um > 100 * PIXEL_UM
+    assert found.u_y_um < 0.2 * PIXEL_UM
 
 
 def test_many_fields_of_large_dies_are_placed_under_light_that_falls_off() -> None:
