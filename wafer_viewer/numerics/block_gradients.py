@@ -214,8 +214,13 @@ _SMOOTHED = 0.33
 """Noise left after smoothing, relative to that of a pixel."""
 _SOLID = 1e-9
 """Part of the trace that keeps the shading of a block solvable whose known pixels lie in one line."""
+_LEAST_REAL = 0.05
+"""Smallest real fraction of a Hessian."""
 _LEAST_BLOCKS = 4
 """Smallest number of blocks for a covariance."""
+_DRIFT = 1.5
+"""Variance of a lag by shifts that vary smoothly over the blocks, relative to that of the shifts: parts of a picture
+that come from different frames. Simulated optics of tests/truth/field_grid.py, seeds 2 to 9, set it."""
 _LEAST_BLOCKS_BENT = 8
 """Smallest number of blocks for a shift that varies across them."""
 
@@ -369,7 +374,7 @@ def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Num
     spread = pull.T @ pull * (n / (n - 2))
     more = np.sqrt(np.maximum(1.0, _correlated(pull, blocks.index) / np.maximum(np.diag(spread), 1e-30)))
     by = held @ inverse * more
-    known = by @ spread @ by.T
+    known = by @ spread @ by.T + held @ np.diag(_DRIFT * _drift(blocks, stiffness, held)) @ held.T
     return known if held.shape[1] == 2 else np.asarray(known + LOOSE_PX**2 * (np.eye(2) - held @ held.T), np.float64)
 
 
@@ -395,6 +400,34 @@ def _correlated(pull: Numbers, index: Int64s) -> Numbers:
     for sides, of_cluster in zip(((1, n_cols), (n_rows, 1), *((side, side) for side in _AREAS)), out, strict=True):
         _fill_spread(pull, index, *sides, room, of_cluster)
     return np.maximum(out[0] + out[1] - np.einsum("bk,bk->k", pull, pull), out[2:].max(axis=0))
+
+
+def _drift(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Numbers:
+    """Return the variance of the shifts of single blocks beyond that between neighbouring ones, [k], at least 0."""
+    pull, out = blocks.pull @ held, np.zeros(held.shape[1])
+    stiff = np.einsum("ik,bij,jk->bk", held, blocks.stiffness, held)
+    _fill_drift(pull, stiff, blocks.index, out)
+    real = np.einsum("ik,ij,jk->k", held, stiffness, held) / np.maximum(stiff.sum(axis=0), 1e-30)
+    return np.asarray(out / np.maximum(real, _LEAST_REAL) ** 2, np.float64)
+
+
+@lean_kernel
+def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -> None:
+    for j in range(out.size):
+        total = of_all = between = of_pairs = 0.0
+        for b in range(index.shape[0]):
+            if stiff[b, j] > 0:
+                total += pull[b, j] ** 2 / stiff[b, j]
+                of_all += stiff[b, j]
+                for c in range(b):
+                    apart = abs(index[b, 0] - index[c, 0]) + abs(index[b, 1] - index[c, 1])
+                    if apart == 1 and stiff[c, j] > 0:
+                        weight = stiff[b, j] * stiff[c, j] / (stiff[b, j] + stiff[c, j])
+                        off = pull[b, j] / stiff[b, j] - pull[c, j] / stiff[c, j]
+                        between += weight * off * off / 2
+                        of_pairs += weight
+        if of_pairs > 0:
+            out[j] = max(0.0, total / of_all - between / of_pairs)
 
 
 @lean_kernel

@@ -55,6 +55,8 @@ class AlignmentParameters:
         its best place by 2.
     least_rise : float
         The same without noise, relative to the other direction.
+    surely_pulls : float
+        Smallest gradient in that direction, in its scatter, for an alignment to go along it at first.
     beside_px : tuple[float, ...], px
         Distances to either side in that direction at which the pictures are compared once more: a dent of the misfit
         may be shallower than the slope it lies on.
@@ -88,6 +90,7 @@ class AlignmentParameters:
     loose_fraction: float = 0.001
     surely_rises: float = 4.0
     least_rise: float = 1e-5
+    surely_pulls: float = 2.0
     beside_px: tuple[float, ...] = (2.0, 4.0, 8.0)
     clearly_lowest: float = 1.1
     least_hessian_fraction: float = 0.05
@@ -166,7 +169,7 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         ALIGNMENT.roughly_close_px if roughly else ALIGNMENT.close_px,
     )
     noise = math.sqrt(first.noise * second.noise)
-    surface = _Surface.of(first, second, lag, side, pulls, noise)
+    surface = _Surface.of(first, second, lag, side, pulls, noise, begins=True)
     for _ in range(ALIGNMENT.most_steps):
         step, before = surface.step(pulls, ease), pulls
         lag = lag[0] + float(step[0]), lag[1] + float(step[1])
@@ -211,19 +214,29 @@ class _Surface:
 
     @classmethod
     def of(
-        cls, first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, pulls: BlockGradients, noise: float
+        cls,
+        first: RegisteredImage,
+        second: RegisteredImage,
+        lag: Lag,
+        side: int,
+        pulls: BlockGradients,
+        noise: float,
+        begins: bool = False,
     ) -> _Surface:
         """Look whether the picture determines the weaker direction, where its slopes are hardly more than noise.
 
-        It does where the misfit really rises there, by more than that of a random picture may.
+        It does where the misfit really rises there, by more than that of a random picture may. Far from the place, where
+        an alignment begins, the misfit need not be hollow yet; there it is enough that all blocks pull the same way.
         """
         weak, strong, along, across = _principal_axes(pulls.total_stiffness)
         of_noise = _noise_stiffness(pulls, noise)
         doubtful = max(ALIGNMENT.loose_noise * of_noise, ALIGNMENT.loose_fraction * strong)
         if weak >= doubtful or max(weak - of_noise, 0) >= ALIGNMENT.anisotropic * (strong - of_noise):
             return cls(_BOTH, None)
-        measured = _hessian_by_differences(first, second, lag, side)
         scatter = float(np.sqrt(np.sum((pulls.pull @ along) ** 2)))
+        if begins and abs(float(pulls.total_pull @ along)) > ALIGNMENT.surely_pulls * scatter:
+            return cls(_BOTH, None)
+        measured = _hessian_by_differences(first, second, lag, side)
         rises = float(along @ measured @ along)
         if rises > max(ALIGNMENT.surely_rises * scatter, ALIGNMENT.least_rise * strong):
             return cls(_BOTH, measured)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import affine_transform, gaussian_filter
+from scipy.ndimage import affine_transform, gaussian_filter, map_coordinates
 from scipy.special import erf
 
 from wafer_viewer.numerics.block_gradients import block_sums, taps
@@ -86,6 +86,21 @@ def test_the_uncertainty_is_that_of_the_errors(noise, noise_blur):
     assert np.abs(np.mean(normalised, axis=0)).max() < 0.5
 
 
+def test_parts_that_are_displaced_against_each_other_make_the_lag_less_sure():
+    """As in a picture whose parts come from different frames."""
+    rng = np.random.default_rng(1)
+    rows, cols = np.indices(SHAPE, dtype=float)
+    normalised = []
+    for _ in range(24):
+        texture = gaussian_filter(rng.normal(size=SHAPE), 1.5, mode="wrap")
+        texture /= texture.std()
+        moved = 0.1 * np.sin(2 * np.pi * (rows / 300 + rng.random()))
+        seen = map_coordinates(texture, (rows, cols + moved), order=3, mode="wrap")
+        found = align(*(picture(one + rng.normal(0, 0.1, SHAPE)) for one in (texture, seen)), (0.0, 0.0), 20)
+        normalised.append(found.lag[1] / np.sqrt(found.covariance[1, 1]))
+    assert 0.5 < np.sqrt(np.mean(np.square(normalised))) < 1.4
+
+
 def test_noise_does_not_pull_to_the_middle_between_pixels():
     errors = [np.array(align(*two((0.25, 0.25), 1.0, 0.0, seed), (0.0, 0.0), 20).lag) - 0.25 for seed in range(60)]
     assert np.abs(np.mean(errors)) < 0.005
@@ -112,7 +127,7 @@ def test_an_edge_that_the_border_of_a_strip_cuts_is_followed_to_its_place(edge_r
     first, second = seen(0.0), seen(0.6)
     ends = [align(first, second, (begun, 0.0), 20) for begun in (0.0, 0.3, 1.0)]
     assert np.ptp([end.lag[0] for end in ends]) < 0.1
-    assert all(np.sqrt(end.covariance[0, 0]) < 0.1 for end in ends)
+    assert all(np.sqrt(end.covariance[0, 0]) < 0.2 for end in ends)
 
 
 def test_pixels_that_are_not_known_count_nothing():

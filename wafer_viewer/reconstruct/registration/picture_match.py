@@ -134,7 +134,7 @@ class MatchAcceptanceParameters:
     bent_sigmas: float = 3.0
     surely_bent: float = 3.5
     most_u_px: float = 4.0
-    least_u_px: float = 0.01
+    least_u_px: float = 0.004
 
 
 MATCH_ACCEPTANCE = MatchAcceptanceParameters()
