@@ -154,6 +154,16 @@ def test_a_pattern_has_all_its_offsets_as_candidates(sample, pitch_px):
     assert np.abs(error_px(near, off)).max() < 0.06
 
 
+def test_a_pattern_may_lie_where_too_little_overlap_is_left_to_be_compared(sample):
+    """The fields overlap by 24 px by the stage; where they truly lie, by half of that."""
+    rows, cols = np.indices((460, 520))
+    cell = np.sign(np.sin(rows * 2 * np.pi / 22) + 0.4) + np.sign(np.sin(cols * 2 * np.pi / 23) - 0.3)
+    dies = Sample(110 + 25 * ndimage.gaussian_filter(cell, 1.2), sample.z_um)
+    found = register_pair(*pair(dies, (0, 216), off := (-4.0, 13.5), noise_counts=2.0))
+    at_px = np.column_stack([-found.candidates[:, 1], found.candidates[:, 0]]) / PIXEL_UM
+    assert np.hypot(*(at_px - off).T).min() < 0.7
+
+
 def test_further_than_the_reach_is_not_believed(sample):
     found = register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=12)
     assert found.doubt in (RejectionReason.END_OF_SEARCH, RejectionReason.UNLIKE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,9 @@ def test_dies_finer_than_the_stage_are_reported_to_lie_where_the_stage_says():
     assert "24 of 24 overlaps ambiguous (repeating pattern)" in note
     assert "set search_um" in note
     (why,) = [note for note in notes if "no period was chosen" in note]
-    assert "a pattern that repeats every 4.99 um, and the stage is off by" in why
+    told = re.search(r"a pattern that repeats every (.*) um, and the stage is off by", why)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(5.0, rel=0.02)
     info = stitching_info(poses)
     assert info is not None
     assert info.n_by_stage == 16

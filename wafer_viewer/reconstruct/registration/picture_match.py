@@ -191,8 +191,8 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
     if not lags:
         both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
         return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
-    fits = _refined(one, other, lags, factor, window, reach_px)
-    return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
+    fits, unseen = _refined(one, other, lags, factor, window, reach_px)
+    return _judged(fits, unseen, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
 
 
 def match_near(first: HeightMap, second: HeightMap, read: Read) -> Match:
@@ -202,8 +202,8 @@ def match_near(first: HeightMap, second: HeightMap, read: Read) -> Match:
     if min(window.overlap) < MATCH_SEARCH.least_side / 2:
         return _nowhere(RejectionReason.BLANK)
     one, other = read(first, *window.first), read(second, *window.second)
-    fits = _refined(one, other, [window.nominal], factor, window, LOOK_PX)
-    return _judged(fits, False, window, LOOK_PX) if fits else _nowhere(RejectionReason.UNLIKE)
+    fits, unseen = _refined(one, other, [window.nominal], factor, window, LOOK_PX)
+    return _judged(fits, unseen, False, window, LOOK_PX) if fits else _nowhere(RejectionReason.UNLIKE)
 
 
 def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
@@ -261,13 +261,15 @@ def _peaks(likeness: Likeness, least_pixels: float, reach: int) -> tuple[list[tu
 
 def _refined(
     one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, window: OverlapWindow, reach_px: float
-) -> list[SubpixelShift]:
+) -> tuple[list[SubpixelShift], list[Lag]]:
     """Refine all candidates, and the best fit with its rivals again at each finer resolution.
 
     The many rivals of a pattern are not compared at full resolution: which one is right is not for them to decide.
     Between binned pixels a candidate may be missed; where others lie on a lattice, its other points are compared too.
+    Returned beside the fits are the points at which too little of the overlap is left to be compared.
     """
     fits: list[SubpixelShift] = []
+    unseen: list[Lag] = []
     for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
         if f < MATCH_SEARCH.patterned_factor and len(fits) > MATCH_SEARCH.few:
             break
@@ -275,16 +277,23 @@ def _refined(
         fits = _with_rivals(_near(levels, lags, side, f, window.nominal))
         if f == factor and len(fits) > 1:
             missing = _missing(fits, window.nominal, reach_px)
-            fits = _with_rivals([*fits, *_near(levels, missing, side, f, window.nominal)])
+            enough = MATCH_SEARCH.least_share * max(fit.n_pixels for fit in fits)
+            there = [_aligned(levels, lag, side, f, window.nominal) for lag in missing]
+            fits = _with_rivals([*fits, *_staying(there, missing, f)])
+            unseen = [lag for lag, fit in zip(missing, there, strict=True) if fit.n_pixels < enough]
+            unseen = [lag for lag in unseen if min(_apart(fit, lag) for fit in fits) > MATCH_SEARCH.same_px]
         lags = [fit.lag for fit in fits]
-    return fits
+    return fits, unseen
 
 
 def _near(
     levels: tuple[RegisteredImage, RegisteredImage], lags: Sequence[Lag], side: int, factor: int, nominal: Lag
 ) -> list[SubpixelShift]:
     """Refine lags on binned images, and return the fits that stay near them."""
-    fits = [_aligned(levels, lag, side, factor, nominal) for lag in lags]
+    return _staying([_aligned(levels, lag, side, factor, nominal) for lag in lags], lags, factor)
+
+
+def _staying(fits: list[SubpixelShift], lags: Sequence[Lag], factor: int) -> list[SubpixelShift]:
     return [fit for fit, lag in zip(fits, lags, strict=True) if _apart(fit, lag) <= 2.0 * factor]
 
 
@@ -364,11 +373,21 @@ def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
     )
 
 
-def _judged(fits: list[SubpixelShift], by_chance: bool, window: OverlapWindow, reach_px: float) -> Match:
+def _judged(
+    fits: list[SubpixelShift], unseen: list[Lag], by_chance: bool, window: OverlapWindow, reach_px: float
+) -> Match:
+    """Return the best fit with the doubt about it; a pattern may also fit where it could not be compared.
+
+    There it is as likely as at most of its fits: that one of these is better tells against all others alike.
+    """
     best = fits[0]
     found = [_candidate(fit, best, window) for fit in fits]
     doubt = _doubt(fits, by_chance, max(map(abs, found[0].off_px)) > reach_px)
     told = [one for one in found if np.isfinite(one.covariance).all()]
+    if told:
+        usual_nats = float(np.median([one.misfit_nats for one in told]))
+        places = [_candidate(replace(best, lag=lag), best, window) for lag in unseen]
+        told += [replace(place, misfit_nats=usual_nats) for place in places]
     rivals = tuple(sorted(told, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
     is_open = doubt is RejectionReason.AMBIGUOUS and len(rivals) > 1
     return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, rivals if is_open else ())
