@@ -9,6 +9,8 @@ import pytest
 
 from tests.bench.bench_grids import judged, limit_px
 from tests.truth.drawn_grids import PIXEL_UM, drawn, made, narrowed, planted
+from wafer_viewer.reconstruct.registration.misfit_search import search_misfits
+from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import register_pair
 
 pytestmark = pytest.mark.slow
@@ -63,6 +65,15 @@ def test_misfits_among_dies_are_found_and_named(what: str, seed: int) -> None:
     found = judged(made(drawn(seed)))
     assert (found.found, found.alarms) == (found.planted, 0)
     assert sum(what in note and "left out" in note for note in found.notes) == 1
+
+
+def test_swapped_fields_are_found_among_fields_that_only_lie_elsewhere() -> None:
+    """A field beside one may have been placed a period off: it is a suspect too, but fits where it belongs."""
+    grid = made(dataclasses.replace(drawn(46), misfits=((5, "swapped"), (23, "swapped")), missing=(), noise=0.9))
+    moved_um = grid.true_um - grid.stage_um
+    suspects = np.array([0, 3, 5, 6, 23], np.int32)
+    found = search_misfits(suspects, neighbours(grid.heights), moved_um, 0.003, grid.heights.__getitem__)
+    assert (found.turned, found.swapped) == ({}, ((5, 23),))
 
 
 def test_the_limit_is_what_noise_and_overlap_make_of_it() -> None:

@@ -225,8 +225,8 @@ class _Surface:
     ) -> _Surface:
         """Look whether the picture determines the weaker direction, where its slopes are hardly more than noise.
 
-        It does where the misfit really rises there, by more than that of a random picture may. Far from the place, where
-        an alignment begins, the misfit need not be hollow yet; there it is enough that all blocks pull the same way.
+        It does where the misfit really rises there, by more than that of a random picture may. Where an alignment
+        begins the misfit need not be hollow yet: there it is enough that all blocks pull the same way.
         """
         weak, strong, along, across = _principal_axes(pulls.total_stiffness)
         of_noise = _noise_stiffness(pulls, noise)
@@ -245,7 +245,7 @@ class _Surface:
     def unless_lower_beside(
         self, first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, pulls: BlockGradients
     ) -> _Surface:
-        """Return a surface that rises in one direction only where the pictures are as alike beside the lag in the other.
+        """Return a surface that rises in one direction only if the pictures are as alike beside the lag in the other.
 
         Noise and single marks on lines make dents of the misfit, in which an alignment ends wherever it began.
         """

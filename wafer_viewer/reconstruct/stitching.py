@@ -230,30 +230,44 @@ def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Reg
     Of the offsets at which a repeating pattern fits, the one that agrees with all other overlaps is measured.
     """
     pairs, n_fields = neighbours(fields.outlines), len(fields.outlines)
-    shifts = fields.previous.shifts(pairs, observers.register)
+    chosen = _chosen(fields, fields.previous.shifts(pairs, observers.register), observers)
+    left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, chosen.shifts))
+    misfits = _searched_misfits(fields, chosen.shifts, left_out, observers)
+    if misfits.fields and chosen.shifts.repeats.any():
+        chosen = _chosen(fields, _without(chosen.shifts, misfits.fields), observers)
+        left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, chosen.shifts))
+    left_out |= np.isin(np.arange(n_fields), misfits.fields)
+    shifts = _without(chosen.shifts, misfits.fields)
+    return RegisteredOverlaps(pairs, shifts, left_out, misfits, chosen.notes, chosen.period_odds_nats)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chosen:
+    """Shifts after the choice among the offsets of patterns, notes on it, and the log odds of the periods."""
+
+    shifts: Shifts
+    notes: tuple[str, ...]
+    period_odds_nats: Um
+
+
+def _chosen(fields: FieldsToPlace, shifts: Shifts, observers: OverlapObservers) -> _Chosen:
+    """Choose among the offsets of patterns, measure those that were chosen, and look again at lost overlaps."""
     x_um, y_um = fields.centres_um
-    start = (fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um))
+    pixel_um = fields.outlines[0].pixel_um
     choice = choose_candidates(
         x_um,
         y_um,
         shifts,
-        fields.outlines[0].pixel_um,
+        pixel_um,
         stage_error_um=fields.stitching.stage_error_um,
         fixed=fields.fixed,
-        start=start,
+        start=(fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um)),
     )
-    notes: tuple[str, ...] = ()
-    odds_nats = np.zeros(0)
-    if choice is not None:
-        odds_nats = choice.odds_nats
-        notes = choice.notes(fields.outlines[0].pixel_um)
-        again = np.column_stack((shifts.first, shifts.second))[choice.to_measure]
-        shifts = choice.with_measured(observers.refine(again, choice.expected_um[choice.to_measure]))
-    shifts = _looked_at_again(fields, shifts, observers)
-    left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, shifts))
-    misfits = _searched_misfits(fields, shifts, left_out, observers)
-    left_out |= np.isin(np.arange(n_fields), misfits.fields)
-    return RegisteredOverlaps(pairs, _without(shifts, misfits.fields), left_out, misfits, notes, odds_nats)
+    if choice is None:
+        return _Chosen(_looked_at_again(fields, shifts, observers), (), np.zeros(0))
+    again = np.column_stack((shifts.first, shifts.second))[choice.to_measure]
+    measured = choice.with_measured(observers.refine(again, choice.expected_um[choice.to_measure]))
+    return _Chosen(_looked_at_again(fields, measured, observers), choice.notes(pixel_um), choice.odds_nats)
 
 
 def _looked_at_again(fields: FieldsToPlace, shifts: Shifts, observers: OverlapObservers) -> Shifts:
@@ -289,9 +303,14 @@ def _searched_misfits(
 
 
 def _without(shifts: Shifts, some: Sequence[int] | NDArray[np.int32]) -> Shifts:
-    """Return the shifts, those of some fields rejected as unlike where they were accepted."""
-    those = (np.isin(shifts.first, some) | np.isin(shifts.second, some)) & shifts.believed
-    return dataclasses.replace(shifts, doubt=np.where(those, np.uint8(RejectionReason.UNLIKE), shifts.doubt))
+    """Return the shifts, those of some fields rejected as unlike where they were accepted, or fit at several places."""
+    those = np.isin(shifts.first, some) | np.isin(shifts.second, some)
+    unlike = those & (shifts.believed | shifts.repeats)
+    return dataclasses.replace(
+        shifts,
+        doubt=np.where(unlike, np.uint8(RejectionReason.UNLIKE), shifts.doubt),
+        candidates=np.where(those[:, None, None], np.float32(np.nan), shifts.candidates),
+    )
 
 
 # --------------------------------------------------------------------------------------------------------------- poses

@@ -127,7 +127,8 @@ def search_misfits(found: Ints, pairs: Ints, moved_um: Numbers, usual: float, op
     pairs: of overlapping fields, [n, 2]; moved_um: expected position less the stage's, of all fields, [n, 2];
     usual: unexplained variance of good overlaps.
     """
-    places = {int(n): _Place.of(int(n), found, pairs, moved_um, usual, opened) for n in found}
+    every = {int(n): _Place.of(int(n), found, pairs, moved_um, usual, opened) for n in found}
+    places = {n: place for n, place in every.items() if not place.suits(place.field)}
     turned: dict[int, str] = {}
     for n, place in places.items():
         own = place.likeness(place.field)
@@ -174,6 +175,11 @@ class _Place:
         """Return the unexplained variance of a field in this place beside each neighbour; 1 where it does not fit."""
         placed = replace(picture, x0_um=self.field.x0_um, y0_um=self.field.y0_um)
         return np.array([_unexplained(placed, other) for other in self.neighbours])
+
+    def suits(self, picture: HeightMap) -> bool:
+        """Return whether a field fits all neighbours in this place as good overlaps fit."""
+        likeness = self.likeness(picture)
+        return bool(len(likeness)) and bool((likeness < SEARCH.poor * self.usual).all())
 
     def gain(self, own: Numbers, other: Numbers) -> float:
         """Return the sum of the logarithms by which another picture leaves less unexplained beside the neighbours."""
