@@ -1,47 +1,62 @@
-"""What a cluster of workers costs and gains: fields on two workers beside two bare processes that do the same fields.
+"""What a cluster of workers costs and gains: heights, overlaps and mosaic on two workers, beside one worker.
 
     python tests/bench/bench_workers.py [--quick]
 
-Fields of full size, 1080 x 1440, of the virtual wafer: 126 frames each; with --quick two fields of 12 frames, once.
-One process, two bare processes and two workers do the same fields in turn, several rounds; the least time of each
-counts, so that what else the machine does counts little. Kernels are compiled and loaded before.
+Fields of full size, 1080 x 1440, of the virtual wafer. Heights: 12 fields of 126 frames, by one process, two bare
+processes and two workers. Overlaps and mosaic: 40 fields of 12 frames, stitched as the viewer stitches them, by one
+worker and by two; what their tasks take is summed for overlaps (registered, measured again, compared) and for mosaic
+(patches drawn). All do the same in turn, several rounds; the least time of each counts, so that what else the machine
+does counts little. Kernels are compiled and loaded before. --quick: two fields of 12 frames, once.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.pool import Pool
 from pathlib import Path
+from typing import Any
 
 import psutil
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
-from wafer_viewer.compute.task_runner import TaskRunner, crew_for
+from wafer_viewer.compute.dask_cluster import client_of
+from wafer_viewer.compute.task_runner import DaskRunner, Done, Task, TaskRunner, crew_for
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.job import Job
+from wafer_viewer.model.progress import ShouldStop, never
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field_pipeline import warm_up
 from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-from wafer_viewer.session.surface.worker_tasks import reconstruct_field
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field, warm_up
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.mosaic.poses_file import POSES
 
 ROWS, COLS, PIXEL_UM, OVERLAP = 1080, 1440, 0.46729, 0.12
 RESULT, RECIPE, WORKERS = "bench", Recipe(), 2
 SPEED_UP_GOAL, OVERHEAD_GOAL_MS, N_EMPTY = 0.9, 3.0, 2000
+TWICE_GOAL = 1.8
+"""How many times as fast as one worker two are to be."""
+MANY = 40, 12
+"""Fields that are stitched, and frames of each."""
+PARTS = {
+    "overlaps": ("register_pairs", "refine_pairs", "compare_pairs"),
+    "mosaic": ("draw_patch",),
+}
 Item = tuple[Path, int, str, Recipe, int]
 
 
@@ -72,6 +87,14 @@ def main() -> None:
             first = next(crew.each(nothing, [(0,)]))
             show_start(time.perf_counter() - began, crew, first.fault is None, N_EMPTY // 20 if quick else N_EMPTY)
             show_speed_up(crew, items, rounds=1 if quick else 3)
+            if not quick:
+                path = Path(folder) / "many.wafer"
+                make_dataset(path, *MANY)
+                reconstruct_field(path, 1, RESULT, RECIPE)
+                drain(crew, reconstruct_field, [(path, f.number, RESULT, RECIPE, 1) for f in Dataset.open(path).fields])
+            else:
+                drain(crew, reconstruct_field, items)
+            show_stitching(crew, path, rounds=1 if quick else 3)
 
 
 def make_dataset(path: Path, n_fields: int, n_frames: int) -> None:
@@ -121,13 +144,75 @@ def show_speed_up(crew: TaskRunner, items: list[Item], rounds: int) -> None:
             ways["two workers"].append(taken(lambda: drain(crew, reconstruct_field, items)))
     least = {name: Took(min(t.clock_s for t in took), min(t.busy_s for t in took)) for name, took in ways.items()}
     alone, ours, theirs = least["one process"], least["two workers"], least["two processes"]
-    share = theirs.clock_s / ours.clock_s
-    goals = {"two workers": f"{share:.2f} of two processes; {SPEED_UP_GOAL} {met(share, SPEED_UP_GOAL, at_least=True)}"}
+    share, twice = theirs.clock_s / ours.clock_s, alone.clock_s / ours.clock_s
+    goals = {
+        "two workers": f"{share:.2f} of two processes; {SPEED_UP_GOAL} {met(share, SPEED_UP_GOAL, at_least=True)}; "
+        f"{twice:.2f} of one; {TWICE_GOAL} {met(twice, TWICE_GOAL, at_least=True)}"
+    }
     rows = [
         (name, took.clock_s, f"{alone.clock_s / took.clock_s:.2f} x", goals.get(name), took.busy_s)
         for name, took in least.items()
     ]
     show(f"Heights of {n} fields", ("", "clock, s", "faster", "goal", "processors, all of it, s"), rows)
+
+
+def show_stitching(two: TaskRunner, path: Path, rounds: int) -> None:
+    """The same fields stitched by one worker and by two, overlaps and mosaic apart."""
+    with client_of(None, 1) as client:
+        one = DaskRunner(client)
+        for crew in (one, two):
+            drain(crew, warm_up, [()] * 2 * WORKERS)
+        least = {name: dict.fromkeys(PARTS, float("inf")) for name in ("one worker", "two workers")}
+        for _ in range(rounds):
+            for name, crew in zip(least, (one, two), strict=True):
+                timed = stitched(crew, path)
+                for part, tasks in PARTS.items():
+                    least[name][part] = min(least[name][part], sum(timed.spent_s.get(task, 0.0) for task in tasks))
+    alone, both = least.values()
+    rows = []
+    for part in PARTS:
+        twice = alone[part] / both[part]
+        goal = f"{TWICE_GOAL} {met(twice, TWICE_GOAL, at_least=True)}"
+        rows.append((part, alone[part], both[part], f"{twice:.2f} x", goal))
+    n = len(Dataset.open(path).fields)
+    show(f"Stitching of {n} fields", ("", "one worker, s", "two workers, s", "faster", "goal"), rows)
+
+
+def stitched(crew: TaskRunner, path: Path) -> TimedRunner:
+    """Stitch a dataset from scratch; return what its tasks took."""
+    stored = Dataset.open(path).result(RESULT)
+    shutil.rmtree(stored.mosaic_path, ignore_errors=True)
+    (stored.path / POSES).unlink(missing_ok=True)
+    timed = TimedRunner(crew)
+    bring_up_to_date(path, RESULT, RECIPE, crew=timed)
+    return timed
+
+
+class TimedRunner:
+    """A task runner that adds up the seconds by the clock that the tasks of each name take."""
+
+    def __init__(self, crew: TaskRunner) -> None:
+        self.crew, self.spent_s = crew, dict[str, float]()
+
+    @property
+    def n_slots(self) -> int:
+        """See `TaskRunner`."""
+        return self.crew.n_slots
+
+    @property
+    def threads_each(self) -> int | None:
+        """See `TaskRunner`."""
+        return self.crew.threads_each
+
+    def require_sight(self, dataset: Path) -> None:
+        """See `TaskRunner`."""
+        self.crew.require_sight(dataset)
+
+    def each(self, task: Task, items: Sequence[tuple[Any, ...]], *, should_stop: ShouldStop = never) -> Generator[Done]:
+        """See `TaskRunner`."""
+        began = time.perf_counter()
+        yield from self.crew.each(task, items, should_stop=should_stop)
+        self.spent_s[task.__name__] = self.spent_s.get(task.__name__, 0.0) + time.perf_counter() - began
 
 
 def taken(work: Callable[[], object]) -> Took:
