@@ -166,6 +166,7 @@ def solve_positions(
     found = _found(unturned, solution)
     notes = found.notes(task.neighbours_um, pixel_um) if np.sum(solution.weight >= REJECTED) >= LEAST_OVERLAPS else ()
     if not notes:
+        solution = solution.without_solver
         network, solution = task.settled(unturned, like=solution)
         found = dataclasses.replace(found, turn=0.0, scale=0.0)
     return dataclasses.replace(task.positions(network, solution, unturned, found), notes=notes)

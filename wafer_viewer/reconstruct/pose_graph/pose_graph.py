@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers
+from wafer_viewer.numerics.jit import lean_kernel
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Sparse, System
 
 Int32s = NDArray[np.int32]
@@ -109,19 +110,73 @@ class PoseGraph:
 
 
 def normal_equations(network: PoseGraph, weight: Numbers) -> System:
-    """Return the normal equations of overlaps with weights [e] and priors, for free fields and shared unknowns."""
-    ties, precision = network.ties, network.prior_sigma**-2.0
-    weighted = weight[:, None, None] * network.information
-    from_a, from_b = _turned(network.at_first) @ weighted, _turned(network.at_second) @ weighted
-    diagonal = _add(ties.from_first, from_a @ network.at_first) + _add(ties.from_second, from_b @ network.at_second)
+    """Return the normal equations of overlaps with weights [e] and priors, for free fields and shared unknowns.
+
+    They are summed overlap by overlap: a product of all of them at once would need room for ten such tables.
+    """
+    (n, d, m), ties, precision = network.prior_shared.shape, network.ties, network.prior_sigma**-2.0
     expected = precision[:, None] * network.prior_shared
-    coupling = _add(ties.from_second, from_b @ network.at_shared) - _add(ties.from_first, from_a @ network.at_shared)
-    among = _gram(network.at_shared, weighted @ network.at_shared) + _gram(network.prior_shared, expected)
-    return System(
-        _matrix(ties, diagonal + np.diag(precision), -from_a @ network.at_second),
-        flatten_blocks((coupling - expected)[ties.free]),
-        among + np.diag(network.shared_sigma**-2.0),
+    diagonal, coupling = np.tile(np.diag(precision), (n, 1, 1)), -expected
+    right_of_it, room = np.empty((len(weight), d, d)), np.zeros((4, d, max(d, m)))
+    among = _gram(network.prior_shared, expected) + np.diag(network.shared_sigma**-2.0)
+    at = network.at_first, network.at_second, network.at_shared
+    _sum_overlaps(
+        *(network.first, network.second, weight, network.information, *at),
+        *(diagonal, right_of_it, coupling, among, room),
     )
+    return System(_matrix(ties, diagonal, right_of_it), flatten_blocks(coupling[ties.free]), among)
+
+
+@lean_kernel
+def _sum_overlaps(
+    first: Int32s,
+    second: Int32s,
+    weight: Numbers,
+    information: Numbers,
+    at_first: Numbers,
+    at_second: Numbers,
+    at_shared: Numbers,
+    diagonal: Numbers,
+    right_of_it: Numbers,
+    coupling: Numbers,
+    among: Numbers,
+    room: Numbers,
+) -> None:
+    """Add each overlap to the blocks of its fields, their coupling to the shared unknowns, and these among them.
+
+    right_of_it: [e, d, d], filled with its block between both fields; room: [4, d, max(d, m)].
+    """
+    d, m = information.shape[1], at_shared.shape[2]
+    seen_first, seen_second, seen_shared = room[0], room[1], room[2]
+    for e in range(weight.size):
+        i, j = first[e], second[e]
+        for a in range(d):
+            for c in range(d):
+                seen_first[a, c] = seen_second[a, c] = 0.0
+                for b in range(d):
+                    told = weight[e] * information[e, a, b]
+                    seen_first[a, c] += told * at_first[e, b, c]
+                    seen_second[a, c] += told * at_second[e, b, c]
+            for c in range(m):
+                seen_shared[a, c] = 0.0
+                for b in range(d):
+                    seen_shared[a, c] += weight[e] * information[e, a, b] * at_shared[e, b, c]
+        for a in range(d):
+            for c in range(d):
+                between = 0.0
+                for b in range(d):
+                    diagonal[i, a, c] += at_first[e, b, a] * seen_first[b, c]
+                    diagonal[j, a, c] += at_second[e, b, a] * seen_second[b, c]
+                    between += at_first[e, b, a] * seen_second[b, c]
+                right_of_it[e, a, c] = -between
+            for c in range(m):
+                for b in range(d):
+                    coupling[i, a, c] -= at_first[e, b, a] * seen_shared[b, c]
+                    coupling[j, a, c] += at_second[e, b, a] * seen_shared[b, c]
+        for a in range(m):
+            for c in range(m):
+                for b in range(d):
+                    among[a, c] += at_shared[e, b, a] * seen_shared[b, c]
 
 
 def gradient(network: PoseGraph, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
@@ -163,6 +218,22 @@ def _add(adder: Sparse, of_overlaps: Numbers) -> Numbers:
 def _matrix(ties: GraphEdges, diagonal: Numbers, right_of_it: Numbers) -> Sparse:
     from scipy.sparse import bsr_array
 
-    blocks = np.concatenate((diagonal, right_of_it, _turned(right_of_it)))[ties.order]
     n, size = len(ties.row_ends) - 1, diagonal.shape[1]
+    blocks = np.empty((len(ties.order), size, size))
+    _put_in_order(ties.order, diagonal, right_of_it, blocks)
     return bsr_array((blocks, ties.cols, ties.row_ends), (n * size, n * size))
+
+
+@lean_kernel
+def _put_in_order(order: NDArray[np.intp], diagonal: Numbers, right_of_it: Numbers, blocks: Numbers) -> None:
+    n, e = diagonal.shape[0], right_of_it.shape[0]
+    for k in range(order.size):
+        source = order[k]
+        for a in range(blocks.shape[1]):
+            for c in range(blocks.shape[1]):
+                if source < n:
+                    blocks[k, a, c] = diagonal[source, a, c]
+                elif source < n + e:
+                    blocks[k, a, c] = right_of_it[source - n, a, c]
+                else:
+                    blocks[k, a, c] = right_of_it[source - n - e, c, a]

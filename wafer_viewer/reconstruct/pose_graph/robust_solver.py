@@ -99,6 +99,11 @@ class RobustSolution:
     solver: Solver | None = None
     echoes: Numbers | None = None
 
+    @property
+    def without_solver(self) -> RobustSolution:
+        """The same without the solver: that of a million fields takes a gigabyte, and the next step makes its own."""
+        return dataclasses.replace(self, solver=None)
+
 
 Decide = Callable[[PoseGraph, RobustSolution], Numbers]
 
@@ -120,6 +125,7 @@ def solve_robust(
     for _ in range(ROBUST.most_verdicts if decide else 1):
         network, solution = _rounds(network, solution, telling, decided)
         decided, before = decide(network, solution) if decide else decided, decided
+        solution = solution.without_solver
         if np.array_equal(decided, before, equal_nan=True):
             break
     return network, _least_squares_step(network, solution, intermediate=False)
@@ -130,7 +136,7 @@ def _rounds(
 ) -> tuple[PoseGraph, RobustSolution]:
     """Solve and reweight until the weights converge, except those that are `decided` (not NaN)."""
     for _ in range(ROBUST.most_rounds):
-        before, sigma = solution.weight, network.prior_sigma
+        before, sigma, solution = solution.weight, network.prior_sigma, solution.without_solver
         solution = _least_squares_step(network, solution, intermediate=True)
         network = _with_estimated_priors(network, solution)
         solution = _reweighted(network, solution, telling, decided)
@@ -286,10 +292,10 @@ def _sampled(network: PoseGraph, solution: RobustSolution, solver: Solver, n: in
     """Return the mean square [n] of the solutions of drawn errors."""
     random = np.random.default_rng(5)
     values, vectors = np.linalg.eigh((solution.weight / solution.excess**2)[:, None, None] * network.information)
-    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+    vectors *= np.sqrt(np.maximum(values, 0))[:, None, :]
     variance = np.zeros(n)
     for _ in range(_SAMPLES // _AT_ONCE):
-        by_overlap = root @ random.normal(size=(*values.shape, _AT_ONCE))
+        by_overlap = vectors @ random.normal(size=(*values.shape, _AT_ONCE))
         by_prior = random.normal(size=(len(network.x_um), network.size, _AT_ONCE)) / network.prior_sigma[:, None]
         by_shared = random.normal(size=(len(solution.shared), _AT_ONCE)) / network.shared_sigma[:, None]
         drawn = solver.solve(gradient(network, by_overlap, by_prior, by_shared), _TOLERANCE)[:n]
