@@ -15,7 +15,7 @@ from tests.gui.scenes.test_scene_view import until
 from tests.support.page_stand_in import PIXEL_UM, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.draw.colormaps import table
 from wafer_viewer.gui.scenes.scene_view import SceneView
-from wafer_viewer.gui.security import open_server
+from wafer_viewer.gui.security.server import open_server
 from wafer_viewer.gui.state.view_state import View
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

@@ -7,7 +7,6 @@ import errno
 import functools
 import gc
 import importlib
-import io
 import logging
 import logging.handlers
 import signal
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING
 import viser
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.security import open_server
+from wafer_viewer.gui.security.server import close_server, open_server
 from wafer_viewer.gui.shell.build_page import build_page
 from wafer_viewer.gui.widgets.controls import cache_prop_types
 from wafer_viewer.gui.widgets.error_guard import log
@@ -102,7 +101,7 @@ def _hear_requests_to_end() -> threading.Event:
 def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
     """Serve the session to browsers and return at once; port 0 takes a free port, no token a new one.
 
-    Raises WaferViewerError when the port is in use.
+    Raises WaferViewerError when the port is in use, or when the page would be open without the token.
     """
     keep_log()
     quicken()
@@ -133,8 +132,7 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str |
     def stop() -> None:
         while pages:
             pages.popitem()[1].close()
-        with contextlib.redirect_stdout(io.StringIO()):  # viser would say so in its own words
-            server.stop()
+        close_server(server)
 
     return Running(guard.address, stop)
 

@@ -17,7 +17,8 @@ import viser._messages as viser_messages
 import websockets.sync.client
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
-from wafer_viewer.gui.security import AccessGuard, open_server
+from wafer_viewer.gui.security.access_guard import AccessGuard
+from wafer_viewer.gui.security.server import open_server
 from wafer_viewer.session.core.page_token import new_token
 from wafer_viewer.session.files.documents import read_report
 

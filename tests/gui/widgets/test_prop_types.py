@@ -7,7 +7,7 @@ from typing import get_type_hints
 import viser
 from viser._assignable_props_api import AssignablePropsBase
 
-from wafer_viewer.gui.security import open_server
+from wafer_viewer.gui.security.server import open_server
 from wafer_viewer.gui.widgets.controls import cache_prop_types, prop_types
 
 

@@ -11,21 +11,12 @@ import contextlib
 import hmac
 import http
 import http.cookies
-import io
-import threading
-from collections.abc import Callable, Generator
-from typing import Any
+from collections.abc import Callable
 from urllib.parse import parse_qs, unquote, urlsplit
 
-import viser
-import websockets.asyncio.server as websocket_server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
-
-from wafer_viewer.gui.incoming import Handler, checked, report_handler_faults
-from wafer_viewer.gui.message_wakeup import wake_senders_on_their_loop
-from wafer_viewer.session.core.page_token import new_token
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 
@@ -43,7 +34,6 @@ _NO_TOKEN = (
     "This page opens with the address that the program printed when it started: it ends in ?token=... "
     "Copy the whole of it from the terminal.\n"
 )
-_patching = threading.Lock()
 
 
 class AccessGuard:
@@ -57,10 +47,15 @@ class AccessGuard:
         self._port = 0
 
     @property
+    def origin(self) -> str:
+        """Address of the page without the token."""
+        host = "127.0.0.1" if self._host in _EVERYWHERE else self._host
+        return f"http://{host}:{self._port}"
+
+    @property
     def address(self) -> str:
         """Address with the token, to be printed."""
-        host = "127.0.0.1" if self._host in _EVERYWHERE else self._host
-        return f"http://{host}:{self._port}/?token={self._token}"
+        return f"{self.origin}/?token={self._token}"
 
     def refusal(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the response to a refused request, or None if it is allowed."""
@@ -137,38 +132,6 @@ class AccessGuard:
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self._token.encode())
-
-
-def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.ViserServer, AccessGuard]:
-    """Open a viser server that is guarded from its first request on and cannot be shared through a tunnel."""
-    guard = AccessGuard(host, token or new_token())
-    wake_senders_on_their_loop()
-    with _guarding(guard), contextlib.redirect_stdout(io.StringIO()):  # viser would print an address without the token
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    guard.bound_to(server.get_port())
-    report_handler_faults(server)
-    server.request_share_url = _no_tunnel
-    return server, guard
-
-
-@contextlib.contextmanager
-def _guarding(guard: AccessGuard) -> Generator[None]:
-    """Patch the guard into the websocket server that viser opens meanwhile; viser has no parameter for it."""
-    plain = websocket_server.serve
-
-    def serve(handle: Handler, *args: Any, process_request: Answer | None = None, **kwargs: Any) -> Any:
-        return plain(checked(handle), *args, process_request=guard.around(process_request), **kwargs)
-
-    with _patching:
-        websocket_server.serve = serve
-        try:
-            yield
-        finally:
-            websocket_server.serve = plain
-
-
-def _no_tunnel(verbose: bool = True) -> None:
-    """Refuse share requests, which a page could send although viser's share button is hidden."""
 
 
 def _text(status: http.HTTPStatus, text: str) -> Response:
