@@ -424,6 +424,29 @@ def test_the_viewer_prints_its_address_and_ends_with_ctrl_c(tmp_path):
     assert err == ""
 
 
+def test_a_page_for_other_machines_needs_a_password_and_is_served_by_tls(tmp_path):
+    other = "serve", "--host", "127.0.0.2", "--port", 0, "--data", tmp_path
+    no_terminal = subprocess.run(
+        [sys.executable, "-m", "wafer_viewer", *map(str, other)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    assert no_terminal.returncode == 2
+    assert "without a password: start it once in a terminal" in no_terminal.stderr
+    assert "is for a page that others reach" in refused("serve", "--new-password", "--data", tmp_path)
+    (tmp_path / "secret").write_text("correct horse battery\n")
+    running = start(*other, "--password-file", tmp_path / "secret")
+    told = [running.stdout.readline() for _ in range(3)]
+    running.send_signal(signal.SIGINT)
+    out, err = running.communicate(timeout=60)
+    assert (running.returncode, err) == (0, "")
+    assert "Wafer Viewer is at https://127.0.0.2:" in told[0]
+    assert "log in with the password" in told[1]
+    assert len(told[2].strip().split(":")) == 32  # the fingerprint of the self-signed certificate
+    assert "correct horse" not in "".join((*told, out))
+
+
 def test_regions_off_the_surface_are_refused(surface):
     far = refused("measure", "step", surface, "--upper", 9e5, 0, 9.1e5, 10, "--lower", 700, 560, 740, 600)
     assert "lies outside" in far

@@ -51,7 +51,7 @@ def doing(thread: int | None) -> list[str]:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals go to the main thread there")
 @pytest.mark.usefixtures("restored_signals")
 def test_a_request_to_end_that_another_thread_receives_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app, "start", lambda *_: Running("nowhere", lambda: None))
+    monkeypatch.setattr(app, "start", lambda *_: Running("nowhere", "nowhere", lambda: None))
     main, ended, rescued = threading.main_thread().ident, threading.Event(), threading.Event()
 
     def ask() -> None:

@@ -83,8 +83,15 @@ def serve(
     browse: Folders = (),
     open_browser: bool = False,
     new_token: bool = False,
+    host: str = "127.0.0.1",
+    certificate: File = None,
+    certificate_key: File = None,
+    password_file: File = None,
+    new_password: bool = False,
 ) -> None:
     """Open the viewer; prints its address. Ctrl-C ends it.
+
+    Other machines reach the page only with --host, which serves it by TLS and asks for a password.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
@@ -94,20 +101,28 @@ def serve(
         browse: Folders that file dialogs may show, beside the data folder and the home folder.
         open_browser: Also open the page in the browser of this machine.
         new_token: Replace the token of the folder's address: addresses printed earlier no longer open the page.
+        host: Address or name of this machine at which others reach the page; 0.0.0.0 for all of its networks.
+        certificate: PEM file of the page's certificate; without it a self-signed one is made.
+        certificate_key: PEM file of its key.
+        password_file: Text file with the password, instead of one typed at the first start.
+        new_password: Ask for another password; whoever logged in before has to log in again.
     """
     from wafer_viewer.compute.child_process import return_what_is_freed
     from wafer_viewer.gui.app import serve as serve_page
+    from wafer_viewer.session.core.network_access import NetworkOptions, network_access
     from wafer_viewer.session.core.page_token import page_token
     from wafer_viewer.session.session import Session
 
     if not 0 <= port <= LAST_PORT:
         raise PlanError(f"--port is {port}: it must be between 0 and {LAST_PORT}; 0 takes a free one.")
+    asked = NetworkOptions(host, certificate, certificate_key, password_file, new_password)
+    network = network_access(data.expanduser(), asked)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     return_what_is_freed()
     session = Session(data.expanduser(), config_of(rig), scheduler, browse)
     try:
-        token = page_token(session.snapshot.data_folder, renew=new_token)
-        serve_page(session, port=port, open_browser=open_browser, token=token)
+        token = page_token(session.snapshot.data_folder, renew=new_token or new_password)
+        serve_page(session, host, port, open_browser=open_browser, token=token, network=network)
     finally:
         session.close()
 

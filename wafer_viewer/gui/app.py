@@ -26,10 +26,12 @@ from wafer_viewer.gui.widgets.controls import cache_prop_types
 from wafer_viewer.gui.widgets.error_guard import log
 from wafer_viewer.gui.widgets.html import quicken
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.core.network_access import NetworkAccess
 from wafer_viewer.session.files.documents import read_report
 from wafer_viewer.session.files.support_bundle import viewer_log
 
 if TYPE_CHECKING:
+    from wafer_viewer.session.core.page_certificate import PageCertificate
     from wafer_viewer.session.session import Session
 
 with contextlib.suppress(ImportError):
@@ -45,9 +47,10 @@ SWEPT_AFTER_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """Running viewer: its address with the token, and the function that stops it."""
+    """Running viewer: its address with the token, the one for others on the network, and the function that stops it."""
 
     address: str
+    public_origin: str
     stop: Callable[[], None]
 
 
@@ -58,18 +61,21 @@ def serve(
     announce: Callable[[str], None] = functools.partial(print, flush=True),
     open_browser: bool = False,
     token: str | None = None,
+    network: NetworkAccess | None = None,
 ) -> None:
     """Serve the session to browsers until ctrl-C; `announce` gets the line with the address.
 
-    token: token of the address; None creates a new one.
+    token: token of the address; None creates a new one. network: TLS and password, for any host but loopback.
 
-    Raises WaferViewerError when the port is in use.
+    Raises WaferViewerError when the port is in use, or when the page would be open to others.
     """
     ended = _hear_requests_to_end()
-    running = start(session, host, port, token)
+    running = start(session, host, port, token, network)
     try:
         with contextlib.suppress(KeyboardInterrupt):
             announce(f"Wafer Viewer is at {running.address} (ctrl-C ends it)")
+            if network is not None:
+                announce(_invitation(running, network.certificate))
             if open_browser:
                 import webbrowser
 
@@ -98,15 +104,32 @@ def _hear_requests_to_end() -> threading.Event:
     return ended
 
 
-def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
+def _invitation(running: Running, certificate: PageCertificate) -> str:
+    """Return what others on the network need to know."""
+    whose = "made by this program: browsers warn of it once; compare" if certificate.is_own else "with"
+    return (
+        f"Others open {running.public_origin} and log in with the password. The certificate is {whose} its SHA-256 "
+        f"fingerprint\n  {certificate.fingerprint}"
+    )
+
+
+def start(
+    session: Session,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    token: str | None = None,
+    network: NetworkAccess | None = None,
+) -> Running:
     """Serve the session to browsers and return at once; port 0 takes a free port, no token a new one.
 
-    Raises WaferViewerError when the port is in use, or when the page would be open without the token.
+    network: TLS and password, required for any host but loopback.
+
+    Raises WaferViewerError when the port is in use, or when the page would be open to others.
     """
     keep_log()
     quicken()
     cache_prop_types()
-    server, guard = open_server(host, _free(host, port), token)
+    server, guard = open_server(host, _free(host, port), token, network)
     guard.report = lambda name: read_report(name, _report_folders(session), session.papers.saved_reports)
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
@@ -134,7 +157,7 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str |
             pages.popitem()[1].close()
         close_server(server)
 
-    return Running(guard.address, stop)
+    return Running(guard.address, guard.public_origin, stop)
 
 
 def _report_folders(session: Session) -> tuple[Path, ...]:
@@ -169,7 +192,8 @@ def _free(host: str, port: int) -> int:
 
     Raises WaferViewerError if it cannot be used.
     """
-    with socket.socket() as trial:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             trial.bind((host, port))

@@ -87,6 +87,14 @@ def test_without_the_token_nothing_is_served(server: Server, path: str) -> None:
     assert answer.getheader("Set-Cookie") is None
 
 
+def test_a_token_or_cookie_of_odd_bytes_is_refused_like_any_other(server: Server) -> None:
+    port = server[0].get_port()
+    for path, header in ((b"/?token=\xff\xfe", b""), (b"/", b"Cookie: wafer_viewer_%d=\xff\r\n" % port)):
+        with contextlib.closing(socket.create_connection(("127.0.0.1", port), 5)) as wire:
+            wire.sendall(b"GET %s HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n%s\r\n" % (path, port, header))
+            assert wire.recv(64).startswith(b"HTTP/1.1 401")
+
+
 def test_reports_are_served_to_who_may_open_the_page_and_no_other_file_is(server: Server, tmp_path: Path) -> None:
     (tmp_path / "W7-report-1.html").write_text("<h1>W7</h1>")
     (tmp_path / "W7.html").write_text("not a report")

@@ -12,7 +12,7 @@ import pytest
 
 from wafer_viewer.cli.app import main
 from wafer_viewer.gui.security import server
-from wafer_viewer.gui.security.access_guard import AccessGuard, Answer
+from wafer_viewer.gui.security.access_guard import AccessGuard, PlainAnswer
 from wafer_viewer.gui.security.self_test import require_refusals
 from wafer_viewer.gui.security.server import close_server, open_server
 from wafer_viewer.model.errors import WaferViewerError
@@ -25,7 +25,7 @@ def free_port() -> int:
 
 
 def test_a_page_whose_guard_has_no_effect_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_guarding", lambda guard: contextlib.nullcontext())
+    monkeypatch.setattr(server, "_guarding", lambda *_: contextlib.nullcontext())
     port = free_port()
     with pytest.raises(WaferViewerError, match=r"request for the page without the token with 200 instead of 401\."):
         open_server("127.0.0.1", port)
@@ -36,7 +36,7 @@ def test_a_page_whose_guard_has_no_effect_does_not_start(monkeypatch: pytest.Mon
 def test_a_page_whose_guard_lets_websockets_pass_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     around = AccessGuard.around
 
-    def half(guard: AccessGuard, answer: Answer | None) -> Answer:
+    def half(guard: AccessGuard, answer: PlainAnswer | None) -> PlainAnswer:
         guarded = around(guard, answer)
         return lambda connection, request: None if "Upgrade" in request.headers else guarded(connection, request)
 
@@ -53,7 +53,7 @@ def test_a_server_that_does_not_answer_itself_does_not_start() -> None:
 def test_the_command_ends_with_one_sentence(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(server, "_guarding", lambda guard: contextlib.nullcontext())
+    monkeypatch.setattr(server, "_guarding", lambda *_: contextlib.nullcontext())
     assert main(["serve", "--port", "0", "--data", str(tmp_path)]) == 2
     shown = capsys.readouterr()
     assert "http" not in shown.out

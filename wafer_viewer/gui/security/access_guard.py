@@ -11,25 +11,36 @@ import contextlib
 import hmac
 import http
 import http.cookies
-from collections.abc import Callable
+import socket
+from collections.abc import Awaitable, Callable
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
-Answer = Callable[[ServerConnection, Request], Response | None]
+from wafer_viewer.gui.security import login
+from wafer_viewer.gui.security.login import Login
+from wafer_viewer.session.core.network_access import LOOPBACK, NetworkAccess
+from wafer_viewer.session.core.page_certificate import EVERY_ADDRESS
 
-_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-_EVERYWHERE = ("0.0.0.0", "::", "")
+Answer = Callable[[ServerConnection, Request], Response | Awaitable[Response] | None]
+PlainAnswer = Callable[[ServerConnection, Request], Response | None]
+
 _REPORTS = "/reports/"
-_HTTP_PORT = 80
+_DEFAULT_PORTS = {"http": 80, "https": 443}
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{host} data: blob:; "
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' {socket}://{host} data: blob:; "
     "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """Content security policy with the permissions that viser's page needs: eval, textures and workers from blobs."""
+_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
 _NO_TOKEN = (
     "This page opens with the address that the program printed when it started: it ends in ?token=... "
     "Copy the whole of it from the terminal.\n"
@@ -39,26 +50,35 @@ _NO_TOKEN = (
 class AccessGuard:
     """Request checks of one server, and the address that passes them."""
 
-    def __init__(self, host: str, token: str) -> None:
+    def __init__(self, host: str, token: str, network: NetworkAccess | None = None) -> None:
         self._host = host
         self._token = token
+        self._scheme = "https" if network else "http"
+        self._login = Login(network.password) if network else None
         self.report: Callable[[str], bytes | None] = lambda name: None
         """Bytes of a report by name, served under /reports/NAME to authorised browsers; None if missing."""
         self._port = 0
 
     @property
     def origin(self) -> str:
-        """Address of the page without the token."""
-        host = "127.0.0.1" if self._host in _EVERYWHERE else self._host
-        return f"http://{host}:{self._port}"
+        """Address at which this machine reaches the page, without the token."""
+        loopback = "::1" if self._host == "::" else "127.0.0.1"
+        return f"{self._scheme}://{_in_address(loopback if self._host in EVERY_ADDRESS else self._host)}:{self._port}"
+
+    @property
+    def public_origin(self) -> str:
+        """Address at which others reach the page: a page of all interfaces goes by the name of this machine."""
+        if self._login is None or self._host not in EVERY_ADDRESS:
+            return self.origin
+        return f"{self._scheme}://{socket.gethostname()}:{self._port}"
 
     @property
     def address(self) -> str:
         """Address with the token, to be printed."""
-        return f"{self.origin}/?token={self._token}"
+        return f"{self.public_origin}/?token={self._token}"
 
     def refusal(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the response to a refused request, or None if it is allowed."""
+        """Return the response to a request that is not of this page, or None."""
         try:
             host, origin = request.headers["Host"], request.headers.get("Origin")
             is_socket = "Upgrade" in request.headers
@@ -66,32 +86,52 @@ class AccessGuard:
             return _text(http.HTTPStatus.BAD_REQUEST, "A request names one Host.\n")
         if host.lower() not in self._names(connection):
             return _text(http.HTTPStatus.FORBIDDEN, "This server does not go by that name.\n")
-        if (origin is None and is_socket) or (origin is not None and origin.lower() != f"http://{host.lower()}"):
+        own = f"{self._scheme}://{host.lower()}"
+        if (origin is None and is_socket) or (origin is not None and origin.lower() != own):
             return _text(http.HTTPStatus.FORBIDDEN, "Another page may not use this one.\n")
-        if not (self._has_cookie(request) or self._has_token(request)):
-            return _text(http.HTTPStatus.UNAUTHORIZED, _NO_TOKEN)
         return None
 
-    def around(self, answer: Answer | None) -> Answer:
-        """Wrap viser's handler with the checks, the cookie and the security headers."""
+    def around(self, answer: PlainAnswer | None) -> Answer:
+        """Wrap viser's handler with the checks, the login, the cookie and the security headers."""
 
-        def guarded(connection: ServerConnection, request: Request) -> Response | None:
+        def guarded(connection: ServerConnection, request: Request) -> Response | Awaitable[Response] | None:
             response = self.refusal(connection, request)
+            if response is None and self._login is not None and _path(request) == login.PATH:
+                return self._logged_in(self._login, connection, request)
+            if response is None and not (self._has_cookie(request) or self._has_token(request)):
+                response = self._unauthorised(request)
             if response is None:
                 response = self._reported(request)
             if response is None and answer is not None:
                 response = answer(connection, request)
                 if response is not None and self._has_token(request):
                     response.headers["Set-Cookie"] = self._cookie()
-            if response is not None:
-                _harden(response.headers, request.headers.get_all("Host"))
-            return response
+            return self._hardened(response, request)
 
         return guarded
 
+    async def _logged_in(self, login: Login, connection: ServerConnection, request: Request) -> Response:
+        """Return the response to a password: the cookie for the right one."""
+        remote = connection.remote_address
+        problem = await login.problem(str(remote[0]) if remote else "", request)
+        response = _text(*(problem or (http.HTTPStatus.OK, "Logged in.\n")))
+        if problem is None:
+            response.headers["Set-Cookie"] = self._cookie()
+        return _hardened(response, "")
+
+    def _unauthorised(self, request: Request) -> Response:
+        if self._login is not None and "Upgrade" not in request.headers:
+            return self._login.page()
+        return _text(http.HTTPStatus.UNAUTHORIZED, _NO_TOKEN)
+
+    def _hardened(self, response: Response | None, request: Request) -> Response | None:
+        hosts = request.headers.get_all("Host")
+        policy = _POLICY.format(socket="wss" if self._login else "ws", host=hosts[0] if len(hosts) == 1 else "")
+        return response and _hardened(response, policy)
+
     def _reported(self, request: Request) -> Response | None:
         """Return the response to a request for a report; None for other requests."""
-        path = unquote(urlsplit(request.path).path)
+        path = unquote(_path(request))
         if not path.startswith(_REPORTS):
             return None
         body = self.report(path.removeprefix(_REPORTS))
@@ -108,15 +148,17 @@ class AccessGuard:
         """Return the valid Host values: loopback, the configured host, the local address of the connection."""
         local = connection.local_address
         port = int(local[1]) if local else self._port
-        names = {*_LOOPBACK, self._host.lower(), str(local[0]).lower() if local else ""} - set(_EVERYWHERE)
-        return {f"{name}:{port}" for name in names} | (names if port == _HTTP_PORT else set())
+        own = {self._host, str(local[0]) if local else ""} | ({socket.gethostname()} if self._login else set())
+        names = {_in_address(name.lower()) for name in {*LOOPBACK, *own} - set(EVERY_ADDRESS)}
+        return {f"{name}:{port}" for name in names} | (names if port == _DEFAULT_PORTS[self._scheme] else set())
 
     def _cookie_name(self) -> str:
         # Cookies do not know ports: two viewers on one machine would overwrite each other's.
         return f"wafer_viewer_{self._port}"
 
     def _cookie(self) -> str:
-        return f"{self._cookie_name()}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+        secure = "; Secure" if self._login else ""
+        return f"{self._cookie_name()}={self._token}; Path=/; HttpOnly; SameSite=Strict{secure}"
 
     def _has_cookie(self, request: Request) -> bool:
         for header in request.headers.get_all("Cookie"):
@@ -131,7 +173,7 @@ class AccessGuard:
         return len(given) == 1 and self._is_token(given[0])
 
     def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), self._token.encode())
+        return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), self._token.encode())
 
 
 def _text(status: http.HTTPStatus, text: str) -> Response:
@@ -140,9 +182,18 @@ def _text(status: http.HTTPStatus, text: str) -> Response:
     return Response(status.value, status.phrase, headers, body)
 
 
-def _harden(headers: Headers, hosts: list[str]) -> None:
-    headers["Content-Security-Policy"] = _POLICY.format(host=hosts[0] if len(hosts) == 1 else "")
-    headers["X-Content-Type-Options"] = "nosniff"
-    headers["Referrer-Policy"] = "no-referrer"
-    headers["Cross-Origin-Opener-Policy"] = "same-origin"
-    headers["Cross-Origin-Resource-Policy"] = "same-origin"
+def _path(request: Request) -> str:
+    return urlsplit(request.path).path
+
+
+def _in_address(host: str) -> str:
+    """Return a host as it stands in an address: IPv6 in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
+def _hardened(response: Response, policy: str) -> Response:
+    """Set the security headers of a response; a policy of its own stays."""
+    response.headers.setdefault("Content-Security-Policy", policy or "default-src 'none'; frame-ancestors 'none'")
+    for name, value in _HEADERS.items():
+        response.headers[name] = value
+    return response

@@ -11,6 +11,7 @@ import contextlib
 import http
 import http.client
 import secrets
+import ssl
 from urllib.parse import urlsplit
 
 import viser
@@ -20,12 +21,14 @@ from wafer_viewer.model.errors import WaferViewerError
 PATIENCE_S = 10.0
 """Time limit of an answer; the server of this process answers within milliseconds."""
 _REFUSED = http.HTTPStatus.UNAUTHORIZED
+_TRUSTING = ssl._create_unverified_context()
+"""The certificate is for others: nothing secret is sent, and whoever answers without a refusal is found out."""
 
 
 def require_refusals(origin: str) -> None:
     """Raise WaferViewerError unless a page and a websocket are refused without the token.
 
-    origin: address of the server without the token, ``http://HOST:PORT``.
+    origin: address of the server without the token, ``http://HOST:PORT`` or ``https://HOST:PORT``.
     """
     for asked, headers in {"the page": {}, "a websocket": _handshake(origin)}.items():
         try:
@@ -46,7 +49,10 @@ def require_refusals(origin: str) -> None:
 def _status(origin: str, headers: dict[str, str]) -> int:
     """Return the status of the answer to a request with the page's own Host."""
     parts = urlsplit(origin)
-    with contextlib.closing(http.client.HTTPConnection(parts.hostname or "", parts.port, timeout=PATIENCE_S)) as wire:
+    at = parts.hostname or "", parts.port
+    plain = http.client.HTTPConnection(*at, timeout=PATIENCE_S)
+    wire = http.client.HTTPSConnection(*at, timeout=PATIENCE_S, context=_TRUSTING) if parts.scheme == "https" else plain
+    with contextlib.closing(wire):
         wire.request("GET", "/", headers=headers)
         return wire.getresponse().status
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import ssl
 import threading
 from collections.abc import Generator
 from typing import Any
@@ -13,22 +14,30 @@ import websockets.asyncio.server as websocket_server
 
 from wafer_viewer.gui.incoming import Handler, checked, report_handler_faults
 from wafer_viewer.gui.message_wakeup import wake_senders_on_their_loop
-from wafer_viewer.gui.security.access_guard import AccessGuard, Answer
+from wafer_viewer.gui.security.access_guard import AccessGuard, PlainAnswer
 from wafer_viewer.gui.security.self_test import require_refusals
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.core.network_access import NetworkAccess, require_protected
 from wafer_viewer.session.core.page_token import new_token
 
+_HANDSHAKE_S = 10.0
+"""Time limit of TLS, the same that websockets sets for the request after it."""
 _patching = threading.Lock()
 
 
-def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.ViserServer, AccessGuard]:
+def open_server(
+    host: str, port: int, token: str | None = None, network: NetworkAccess | None = None
+) -> tuple[viser.ViserServer, AccessGuard]:
     """Open a viser server that is guarded from its first request on and cannot be shared through a tunnel.
 
-    Raises WaferViewerError if it answers a request without the token.
+    network: TLS and password, required for every host but loopback.
+
+    Raises WaferViewerError if they are missing, or if the server answers a request without the token.
     """
-    guard = AccessGuard(host, token or new_token())
+    require_protected(host, network)
+    guard = AccessGuard(host, token or new_token(), network)
     wake_senders_on_their_loop()
-    with _guarding(guard), _without_words():
+    with _guarding(guard, network and network.certificate.context), _without_words():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     guard.bound_to(server.get_port())
     try:
@@ -53,11 +62,13 @@ def _without_words() -> contextlib.AbstractContextManager[object]:
 
 
 @contextlib.contextmanager
-def _guarding(guard: AccessGuard) -> Generator[None]:
+def _guarding(guard: AccessGuard, tls: ssl.SSLContext | None) -> Generator[None]:
     """Patch the guard into the websocket server that viser opens meanwhile; viser has no parameter for it."""
     plain = websocket_server.serve
 
-    def serve(handle: Handler, *args: Any, process_request: Answer | None = None, **kwargs: Any) -> Any:
+    def serve(handle: Handler, *args: Any, process_request: PlainAnswer | None = None, **kwargs: Any) -> Any:
+        if tls is not None:
+            kwargs |= {"ssl": tls, "ssl_handshake_timeout": _HANDSHAKE_S}
         return plain(checked(handle), *args, process_request=guard.around(process_request), **kwargs)
 
     with _patching:

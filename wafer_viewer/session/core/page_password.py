@@ -1,0 +1,102 @@
+"""Password of a page that is served to a network, stored as a hash only.
+
+The hash, in ``.wafer-viewer/password`` of the data folder, is that of scrypt (RFC 7914): an attempt costs 128 MB and
+some tenths of a second, so that a stolen file gives away no good password.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import re
+import secrets
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.session.core.private_file import read_private, replace_private
+from wafer_viewer.session.session_restore import KEPT_IN
+
+NAME = "password"
+LEAST_CHARACTERS, MOST_CHARACTERS = 12, 256
+_LOG2_COST, _BLOCK_SIZE, _PARALLEL = 17, 8, 1
+"""Cost of scrypt that OWASP's Password Storage Cheat Sheet names first."""
+_MEMORY_BYTES = 2 * 128 * _BLOCK_SIZE * 2**_LOG2_COST
+_SALT_BYTES, _DIGEST_BYTES = 16, 32
+_METHOD = f"scrypt-{_LOG2_COST}-{_BLOCK_SIZE}-{_PARALLEL}"
+_STORED = re.compile(rf"{_METHOD} ([0-9a-f]{{{2 * _SALT_BYTES}}}) ([0-9a-f]{{{2 * _DIGEST_BYTES}}})")
+_MEND = "start once with --new-password, which asks for another one."
+
+
+@dataclass(frozen=True, slots=True)
+class PasswordHash:
+    """Salted hash of a password."""
+
+    salt: bytes
+    digest: bytes
+
+    @classmethod
+    def of(cls, password: str) -> PasswordHash:
+        """Return a hash with a new salt. Raises PlanError for a password that is too short or too long."""
+        if not LEAST_CHARACTERS <= len(password) <= MOST_CHARACTERS:
+            raise PlanError(
+                f"The password has {len(password)} characters: it must have {LEAST_CHARACTERS} to {MOST_CHARACTERS}."
+            )
+        salt = secrets.token_bytes(_SALT_BYTES)
+        return cls(salt, _digest(password, salt))
+
+    def matches(self, password: str) -> bool:
+        """Return whether a password is the right one; the time does not depend on how much of it is right."""
+        return hmac.compare_digest(_digest(password[: MOST_CHARACTERS + 1], self.salt), self.digest)
+
+
+def stored_password(folder: Path) -> PasswordHash | None:
+    """Return the hash stored with a data folder; None if there is none.
+
+    Raises DatasetError if others may have read or placed the file, or if it holds no hash.
+    """
+    path = folder / KEPT_IN / NAME
+    if not (path.exists() or path.is_symlink()):
+        return None
+    found = _STORED.fullmatch(read_private(path, _MEND))
+    if found is None:
+        raise DatasetError(f"{path} holds no hash of a password: {_MEND}")
+    return PasswordHash(*(bytes.fromhex(part) for part in found.groups()))
+
+
+def store_password(folder: Path, password: str) -> PasswordHash:
+    """Store the hash of a password with a data folder, in place of any other, and return it.
+
+    Raises PlanError for a bad password, DatasetError if the folder cannot be written to.
+    """
+    hashed, path = PasswordHash.of(password), folder / KEPT_IN / NAME
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_private(path, f"{_METHOD} {hashed.salt.hex()} {hashed.digest.hex()}\n")
+    except OSError as fault:
+        raise DatasetError(f"{path} cannot be written ({fault.strerror}): give --password-file FILE.") from fault
+    return hashed
+
+
+def password_in(file: Path) -> str:
+    """Return the first line of a text file. Raises DatasetError if it cannot be read."""
+    try:
+        with file.open(encoding="utf-8") as text:
+            return text.readline(4 * MOST_CHARACTERS).rstrip("\r\n")
+    except (OSError, UnicodeDecodeError) as fault:
+        why = fault.strerror if isinstance(fault, OSError) else "it is no text"
+        raise DatasetError(f"The password file {file} cannot be read ({why}): give one with a line of text.") from fault
+
+
+def _digest(password: str, salt: bytes) -> bytes:
+    """Return the hash; the same letters typed on different keyboards are the same password."""
+    return hashlib.scrypt(
+        unicodedata.normalize("NFC", password).encode("utf-8", "surrogatepass"),
+        salt=salt,
+        n=2**_LOG2_COST,
+        r=_BLOCK_SIZE,
+        p=_PARALLEL,
+        maxmem=_MEMORY_BYTES,
+        dklen=_DIGEST_BYTES,
+    )
