@@ -21,8 +21,7 @@ from websockets.http11 import Request, Response
 
 from wafer_viewer.gui.security import login
 from wafer_viewer.gui.security.login import Login
-from wafer_viewer.session.core.network_access import LOOPBACK, NetworkAccess
-from wafer_viewer.session.core.page_certificate import EVERY_ADDRESS
+from wafer_viewer.session.core.network_access import EVERY_ADDRESS, LOOPBACK, NetworkAccess
 
 Answer = Callable[[ServerConnection, Request], Response | Awaitable[Response] | None]
 PlainAnswer = Callable[[ServerConnection, Request], Response | None]

@@ -7,13 +7,18 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.session.core.page_certificate import PageCertificate, page_certificate
 from wafer_viewer.session.core.page_password import PasswordHash, password_in, store_password, stored_password
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.core.page_certificate import PageCertificate
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Hosts that only this machine reaches. Other addresses of the loopback network count as those of any network."""
+EVERY_ADDRESS = ("0.0.0.0", "::", "")
+"""Hosts that stand for all interfaces."""
 PASSWORD_VARIABLE = "WAFER_VIEWER_PASSWORD"
 
 
@@ -91,6 +96,8 @@ def network_access(folder: Path, asked: NetworkOptions) -> NetworkAccess | None:
                 f"{asked.given[0]} is for a page that others reach: give --host ADDRESS too, or leave it out."
             )
         return None
+    from wafer_viewer.session.core.page_certificate import page_certificate  # 50 ms that loopback does without
+
     password = _password(folder, asked, given)
     return NetworkAccess(page_certificate(folder, asked.host, asked.certificate, asked.certificate_key), password)
 

@@ -22,13 +22,13 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.session.core.network_access import EVERY_ADDRESS
 from wafer_viewer.session.core.private_file import read_private, replace_private
 from wafer_viewer.session.session_restore import KEPT_IN
 
 NAME = "certificate.pem"
 VALID_DAYS, RENEWED_DAYS = 397, 14
 """Lifetime of a self-signed certificate, the longest that browsers accept, and its last days, when it is replaced."""
-EVERY_ADDRESS = ("0.0.0.0", "::", "")
 _MEND = "delete the file, and the next start makes another certificate."
 
 
