@@ -18,9 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import viser
+from websockets.asyncio.server import ServerConnection
 
+from wafer_viewer.gui.incoming import UploadStart
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.security.server import close_server, open_server
+from wafer_viewer.gui.page.uploads import refuse_upload
+from wafer_viewer.gui.security.server import close_server, connection_of, open_server
 from wafer_viewer.gui.shell.build_page import build_page
 from wafer_viewer.gui.widgets.controls import cache_prop_types
 from wafer_viewer.gui.widgets.error_guard import log
@@ -151,6 +154,12 @@ def start(
             drop(client)
 
     server.on_client_disconnect(drop)
+
+    def refuse(connection: ServerConnection, upload: UploadStart) -> bool:
+        senders = [page for number, page in list(pages.items()) if connection_of(server, number) is connection]
+        return not senders or refuse_upload(senders[0], upload)
+
+    guard.refuse_upload = refuse
 
     def stop() -> None:
         while pages:

@@ -5,16 +5,12 @@ The session lists folders and renders previews on its own threads; this module o
 
 from __future__ import annotations
 
-import atexit
 import base64
 import os
 import shlex
-import shutil
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future
 from datetime import datetime
-from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any, get_args
@@ -25,8 +21,9 @@ from markupsafe import Markup
 from wafer_viewer.draw.number_format import number, size
 from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
+from wafer_viewer.gui.page.uploads import save_upload
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, outlined
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, controlled, outlined
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.files.file_browser import (
@@ -40,25 +37,6 @@ from wafer_viewer.session.files.file_browser import (
     Root,
     saved_as,
 )
-
-
-def save_upload(file: viser.UploadedFile, otherwise: str = "upload") -> Path:
-    """Save an upload in a new temporary folder; of the sender's path only the file name is used.
-
-    otherwise: file name if the sender gave none.
-    """
-    target = Path(tempfile.mkdtemp(dir=_uploads())) / (Path(file.name).name or otherwise)
-    target.write_bytes(file.content)
-    return target
-
-
-@cache
-def _uploads() -> Path:
-    """Return the folder of the files sent to this process; it is removed when the process ends."""
-    folder = Path(tempfile.mkdtemp(prefix="wafer-viewer-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
-
 
 MOST_SHOWN = 2000
 """Largest number of rows; the rest is reached by typing the beginning of a name."""
@@ -181,7 +159,8 @@ class FileList:
     def add_upload(self, mime_type: str = "*/*", then: Callable[[], None] | None = None) -> None:
         """Add a button below the list that uploads a file from the browser's computer."""
         gui = self._page.gui
-        upload = gui.add_upload_button("Send a file from this computer…", icon=viser.Icon.UPLOAD, mime_type=mime_type)
+        icon = viser.Icon.UPLOAD
+        upload = controlled(gui.add_upload_button("Send a file from this computer…", icon=icon, mime_type=mime_type))
         outlined(gui, upload, 30)
 
         @upload.on_upload

@@ -19,6 +19,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
+from wafer_viewer.gui.incoming import Refusal
 from wafer_viewer.gui.security import login
 from wafer_viewer.gui.security.login import Login
 from wafer_viewer.session.core.network_access import EVERY_ADDRESS, LOOPBACK, NetworkAccess
@@ -56,6 +57,8 @@ class AccessGuard:
         self._login = Login(network.password) if network else None
         self.report: Callable[[str], bytes | None] = lambda name: None
         """Bytes of a report by name, served under /reports/NAME to authorised browsers; None if missing."""
+        self.refuse_upload: Refusal = lambda connection, upload: False
+        """Tells whether a connection may not send a file."""
         self._port = 0
 
     @property

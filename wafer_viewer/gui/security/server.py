@@ -11,8 +11,9 @@ from typing import Any
 
 import viser
 import websockets.asyncio.server as websocket_server
+from websockets.asyncio.server import ServerConnection
 
-from wafer_viewer.gui.incoming import Handler, checked, report_handler_faults
+from wafer_viewer.gui.incoming import Handler, Uploads, checked, report_handler_faults
 from wafer_viewer.gui.message_wakeup import wake_senders_on_their_loop
 from wafer_viewer.gui.security.access_guard import AccessGuard, PlainAnswer
 from wafer_viewer.gui.security.self_test import require_refusals
@@ -56,6 +57,11 @@ def close_server(server: viser.ViserServer) -> None:
         server.stop()
 
 
+def connection_of(server: viser.ViserServer, client_id: int) -> ServerConnection | None:
+    """Return the connection of a browser; None if it has gone. Pinned to viser 1.1, which keeps it to itself."""
+    return server._websock_server._live_connections.get(client_id)  # pyright: ignore[reportArgumentType]
+
+
 def _without_words() -> contextlib.AbstractContextManager[object]:
     """Silence viser, which prints an address without the token at its start, and its own words at its end."""
     return contextlib.redirect_stdout(io.StringIO())
@@ -65,11 +71,12 @@ def _without_words() -> contextlib.AbstractContextManager[object]:
 def _guarding(guard: AccessGuard, tls: ssl.SSLContext | None) -> Generator[None]:
     """Patch the guard into the websocket server that viser opens meanwhile; viser has no parameter for it."""
     plain = websocket_server.serve
+    uploads = Uploads(lambda connection, upload: guard.refuse_upload(connection, upload))
 
     def serve(handle: Handler, *args: Any, process_request: PlainAnswer | None = None, **kwargs: Any) -> Any:
         if tls is not None:
             kwargs |= {"ssl": tls, "ssl_handshake_timeout": _HANDSHAKE_S}
-        return plain(checked(handle), *args, process_request=guard.around(process_request), **kwargs)
+        return plain(checked(handle, uploads), *args, process_request=guard.around(process_request), **kwargs)
 
     with _patching:
         websocket_server.serve = serve
