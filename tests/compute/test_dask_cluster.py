@@ -9,7 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ import pytest
 
 from tests.support.datasets import worker_tasks
 from tests.support.paths import ROOT
+from wafer_viewer.compute.dask_cluster import client_of
 from wafer_viewer.compute.task_runner import crew_for
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -109,7 +110,7 @@ class Machines:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
-        self._start("Scheduler at", "scheduler", "--host", "127.0.0.1", "--port", self.port)
+        self.scheduler = self._start("Scheduler at", "scheduler", "--host", "127.0.0.1", "--port", self.port)
 
     @property
     def address(self):
@@ -238,6 +239,41 @@ def test_strangers_are_refused_in_a_sentence(fresh, machines, tmp_path):
     both = viewer("stitch", fresh, "--scheduler", machines.address, "--workers", "2", trust=machines.trust)
     assert (both.returncode, "give one of them" in both.stderr) == (2, True)
     assert not list(fresh.rglob("*.npz"))
+
+
+def answers_plain_http(port):
+    """Whether something answers a request without TLS."""
+    with suppress(OSError), socket.create_connection(("127.0.0.1", port), 5) as wire:
+        wire.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        wire.settimeout(5)
+        return wire.recv(16).startswith(b"HTTP/")
+    return False
+
+
+def listening_ports(*pids):
+    """TCP ports on which processes and their children listen."""
+    above = [psutil.Process(pid) for pid in pids]
+    family = [each for process in above for each in (process, *process.children(recursive=True))]
+    found = [c for process in family for c in process.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+    assert {c.laddr.ip for c in found} == {"127.0.0.1"}
+    return sorted({c.laddr.port for c in found})
+
+
+def test_nothing_of_a_cluster_of_ones_own_answers_plain_http():
+    before = psutil.Process().net_connections("tcp")
+    with client_of(None, 2) as client:
+        client.wait_for_workers(2)
+        ports = set(listening_ports(os.getpid())) - {c.laddr.port for c in before}
+        assert not [port for port in ports if answers_plain_http(port)]
+        assert len(ports) == 5  # scheduler, two workers and their nannies, each with TLS
+        assert client.submit(sum, [1, 2]).result() == 3
+
+
+def test_nothing_of_a_cluster_of_several_machines_answers_plain_http(machines):
+    worker = machines.worker()
+    ports = listening_ports(machines.scheduler.pid, worker.pid)
+    assert not [port for port in ports if answers_plain_http(port)]
+    assert len(ports) == 3
 
 
 def test_certificates_are_for_their_owner_and_never_overwritten(trust):

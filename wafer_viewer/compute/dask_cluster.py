@@ -38,6 +38,7 @@ SETTINGS: dict[str, Any] = {
     },
     "distributed.nanny.preload": ["wafer_viewer.compute.dask_worker"],
     "distributed.worker.preload": ["wafer_viewer.compute.dask_worker"],
+    "distributed.scheduler.preload": ["wafer_viewer.compute.dask_worker"],
     "distributed.comm.timeouts.connect": PATIENCE_S,
     "distributed.scheduler.allowed-failures": 3,
     # dask closes a worker that was lost, 15 s later, also when it is back: it looks for it in a list that is empty now.
@@ -47,7 +48,7 @@ SETTINGS: dict[str, Any] = {
     "distributed.admin.tick.interval": "500ms",
     "distributed.worker.profile.enabled": False,
     "distributed.scheduler.active-memory-manager.start": False,
-    # The dashboard of dask is off: it would be open to every program on this machine.
+    # The dashboard of dask is off: it would be open to every program on this machine. dask_worker closes its port too.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }

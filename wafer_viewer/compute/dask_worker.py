@@ -1,6 +1,6 @@
 """Worker side of a cluster: setup, compatibility with a dataset, and task execution.
 
-dask loads this module into every worker and its nanny, and calls `dask_setup`.
+dask loads this module into every scheduler, worker and nanny, and calls `dask_setup`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.errors import WaferViewerError
 
 if TYPE_CHECKING:
-    from distributed import Nanny, Worker
+    from distributed import Nanny, Scheduler, Worker
 
 RECORD = "scan.json"
 Outcome = tuple[Any, WaferViewerError | None]
@@ -99,15 +99,23 @@ def works_on(job: str, dask_worker: Worker) -> bool:
     return any(job in str(task.key) for task in dask_worker.state.executing)
 
 
-def dask_setup(server: Worker | Nanny) -> None:
-    """Set up a worker or its nanny; dask calls this at their start."""
-    from distributed import Nanny
+def dask_setup(server: Scheduler | Worker | Nanny) -> None:
+    """Set up a process of a cluster; dask calls this at its start."""
+    from distributed import Nanny, Worker
 
     if isinstance(server, Nanny):
         _count_own_memory_only(server)
-    else:
+        return
+    _end_http(server)
+    if isinstance(server, Worker):
         # Ctrl-C in a terminal reaches all its processes: a worker leaves it to the one that started it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _end_http(server: Scheduler | Worker) -> None:
+    """Close the port of the dashboard, which has no TLS; dask opens it whether there are pages or not."""
+    server.services.pop("dashboard", None)
+    server.http_server.stop()
 
 
 def _count_own_memory_only(nanny: Nanny) -> None:
