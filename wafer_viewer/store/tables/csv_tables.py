@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -32,6 +33,33 @@ UNITS = ("um2", "um3", "um", "deg", "mrad")
 OF_ALL = frozenset(MeasurementResult.__struct_fields__)
 
 
+_FORMULA = re.compile(r"\s*([=@]|[+-](?![-+0-9.,eE ]*$))")
+"""Begin of a text that spreadsheets run as a formula; the names of dies, as -1,0, are none."""
+
+
+class TableWriter:
+    """Writer of lines of cells; a text that a spreadsheet would run as a formula gets an apostrophe before it."""
+
+    def __init__(self, file: io.StringIO) -> None:
+        self._lines = csv.writer(file, lineterminator="\n")
+
+    def writerow(self, cells: Iterable[object]) -> None:
+        """Write a line."""
+        self._lines.writerow([_harmless(cell) for cell in cells])
+
+    def writerows(self, rows: Iterable[Iterable[object]]) -> None:
+        """Write several lines."""
+        for row in rows:
+            self.writerow(row)
+
+
+def _harmless(cell: object) -> object:
+    if not isinstance(cell, str):
+        return cell
+    text = cell.replace("\r", " ")  # csv of Python before 3.13 does not quote it, and a spreadsheet begins a line there
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
 @dataclass(frozen=True, slots=True)
 class CsvNumber:
     """One number of a result; status is empty for numbers without an uncertainty."""
@@ -46,7 +74,7 @@ class CsvNumber:
 def findings_csv(findings: MeasurementResults) -> str:
     """Return the table; U is expanded (k = 2). x_um, y_um: centre of the first region; show 0: entire surface."""
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
+    table = TableWriter(text)
     table.writerow(RESULT_COLUMNS)
     for finding in findings.items:
         for number in _numbers(finding):
@@ -137,7 +165,7 @@ def defects_csv(inspection: Inspection) -> str:
     unmeasured areas, lateral sizes where they are not resolved.
     """
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
+    table = TableWriter(text)
     table.writerow(DEFECT_COLUMNS)
     table.writerows(_row(defect) for defect in inspection.defects)
     return text.getvalue()
@@ -191,13 +219,18 @@ PROFILE_COLUMNS = ("distance_um", "x_um", "y_um", "z_um")
 def profiles_csv(sections: Sequence[Section], software_version: str) -> str:
     """Return the table; lines that begin with ``#`` state the sources, empty cells are unmeasured heights."""
     text = io.StringIO()
-    text.writelines(f"# {line}\n" for line in _heading(sections, software_version))
-    table = csv.writer(text, lineterminator="\n")
+    text.writelines(f"# {_comment(line)}\n" for line in _heading(sections, software_version))
+    table = TableWriter(text)
     table.writerow([f"{section.title} {column}" for section in sections for column in PROFILE_COLUMNS])
     blocks = [_rows(section) for section in sections]
     nothing = [""] * len(PROFILE_COLUMNS)
     table.writerows([cell for part in row for cell in part] for row in zip_longest(*blocks, fillvalue=nothing))
     return text.getvalue()
+
+
+def _comment(line: str) -> str:
+    """Return a line for the head of a table: one line, and no cell of it a formula."""
+    return re.sub(rf",(?={_FORMULA.pattern})", ";", " ".join(line.split()))
 
 
 def _heading(sections: Sequence[Section], software_version: str) -> list[str]:

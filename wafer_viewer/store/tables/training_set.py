@@ -7,7 +7,6 @@ NaN unmeasured), ``0007.png`` the all-in-focus image of the same pixels; ``featu
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.tables.csv_tables import TableWriter
 
 MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
 """Margin around a defect as a share of its length; least and greatest side of the crop in px."""
@@ -118,7 +118,7 @@ def _lattice(cut: HeightMap) -> Iterator[str]:
 
 def _table(rows: list[list[object]]) -> str:
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
+    table = TableWriter(text)
     table.writerow(COLUMNS)
     table.writerows(rows)
     return text.getvalue()
