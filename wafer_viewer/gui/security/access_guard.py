@@ -35,6 +35,11 @@ _POLICY = (
     "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """Content security policy with the permissions that viser's page needs: eval, textures and workers from blobs."""
+_REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""Policy of a report, one file without scripts: whatever a name brings into it, nothing of it runs."""
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -140,6 +145,7 @@ class AccessGuard:
         if body is None:
             return _text(http.HTTPStatus.NOT_FOUND, "There is no such report: write it again from the page.\n")
         headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))})
+        headers["Content-Security-Policy"] = _REPORT_POLICY
         return Response(http.HTTPStatus.OK.value, http.HTTPStatus.OK.phrase, headers, body)
 
     def bound_to(self, port: int) -> None:
