@@ -96,6 +96,24 @@ def test_nothing_outside_of_the_roots_is_listed_or_taken(browsing: Browsing, dat
     assert browsing.look(outside / "key.toml").result(WAIT_S) == b""
 
 
+def test_the_secrets_of_the_data_folder_are_neither_listed_nor_taken_nor_written_over(browsing: Browsing, data: Path):
+    secrets = data / ".wafer-viewer"
+    secrets.mkdir()
+    for name in ("token", "password", "certificate.pem", "plan.toml"):
+        (secrets / name).write_text("x")
+    (data / "way-in").symlink_to(secrets)
+    assert names(listed(browsing, data, prefix=".")) == []
+    for typed in (secrets, data / "way-in"):
+        with pytest.raises(DatasetError, match="lies outside"):
+            listed(browsing, typed)
+    for typed in (".wafer-viewer/plan.toml", "way-in/certificate.pem", "way-in/../.wafer-viewer/token"):
+        with pytest.raises(DatasetError, match="lies outside"):
+            browsing.existing(typed, data)
+        with pytest.raises(DatasetError, match="lies outside"):
+            saved_as(browsing, typed, data, ".csv")
+    assert browsing.look(secrets / "plan.toml").result(WAIT_S) == b""
+
+
 def test_a_folder_given_by_the_command_line_is_a_root_too(tmp_path: Path):
     for name in ("data", "lab"):
         (tmp_path / name).mkdir()

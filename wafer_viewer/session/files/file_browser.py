@@ -23,6 +23,7 @@ import msgspec
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.file_formats import READ
 from wafer_viewer.session.core.commands import query
+from wafer_viewer.session.session_restore import KEPT_IN
 
 Order = Literal["date", "name", "size"]
 KindName = Literal[
@@ -39,7 +40,7 @@ COUNTED_FOLDERS = 60
 """Number of folders per page whose images are counted, up to `MOST_COUNTED` each."""
 KEPT_LOOKS = 400
 KEPT_RECENT = 6
-RECENT = Path(".wafer-viewer") / "recent.json"
+RECENT = Path(KEPT_IN) / "recent.json"
 log = logging.getLogger(__name__)
 
 
@@ -152,10 +153,15 @@ class Browsing:
 
     @query
     def allowed(self, path: Path) -> bool:
-        """Return whether a path is inside a root after its symbolic links are resolved."""
+        """Return whether a path is inside a root after its symbolic links are resolved.
+
+        The folder of tokens, passwords and keys is in none.
+        """
         try:
             real = Path(os.path.realpath(path))
         except OSError:
+            return False
+        if KEPT_IN in real.parts:
             return False
         return any(real.is_relative_to(os.path.realpath(root.path)) for root in self.roots)
 
@@ -246,7 +252,8 @@ class Browsing:
                     begins = item.name.casefold().startswith(prefix.casefold())
                     if not begins or (item.name.startswith(".") and not prefix.startswith(".")):
                         continue
-                    if item.is_symlink() and not (self.allowed(Path(item.path)) and Path(item.path).exists()):
+                    linked_or_hidden = item.is_symlink() or item.name.startswith(".")
+                    if linked_or_hidden and not (self.allowed(Path(item.path)) and Path(item.path).exists()):
                         continue
                     if len(found) == MOST_ENTRIES:
                         return found, True
