@@ -121,3 +121,21 @@ def test_the_page_and_its_render_process_start_without_what_draws_for_print():
     code = f"import sys, {started}; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+ATTACK = re.compile(r"^\| (\d+) \| (.+?) \| (.+?) \| `(tests/[\w/]+\.py)::(\w+)` \|$", re.MULTILINE)
+
+
+def test_every_attack_of_the_documentation_has_a_test():
+    text = (ROOT / "assets/docs/reference/security.md").read_text()
+    attacks = ATTACK.findall(text)
+    assert [int(number) for number, *_ in attacks] == list(range(1, len(attacks) + 1))
+    assert len(attacks) == text.count("`tests/") - 1  # no line escapes the pattern; the house test itself is named too
+    assert len(attacks) >= 40
+    named = [(file, test) for *_, file, test in attacks]
+    assert len({attack for _, attack, *_ in attacks}) == len(set(named)) == len(attacks)
+    tests = {
+        file: {n.name for n in ast.parse((ROOT / file).read_text()).body if isinstance(n, ast.FunctionDef)}
+        for file in {file for file, _ in named}
+    }
+    assert not [f"{file}::{test}" for file, test in named if test not in tests[file]]

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 from contextlib import ExitStack, contextmanager, suppress
@@ -266,6 +267,31 @@ def test_nothing_of_a_cluster_of_ones_own_answers_plain_http():
         ports = set(listening_ports(os.getpid())) - {c.laddr.port for c in before}
         assert not [port for port in ports if answers_plain_http(port)]
         assert len(ports) == 5  # scheduler, two workers and their nannies, each with TLS
+        assert client.submit(sum, [1, 2]).result() == 3
+
+
+def opens_to(port, credentials=None):
+    """Whether a program with these credentials of another cluster, or with none, gets a word from a port."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    if credentials is not None:
+        context.load_cert_chain(credentials / "certificate.pem", credentials / "key.pem")
+    with (
+        suppress(OSError),
+        socket.create_connection(("127.0.0.1", port), 10) as plain,
+        context.wrap_socket(plain) as wire,
+    ):
+        return bool(wire.recv(1))
+    return False
+
+
+def test_a_foreign_program_gets_no_word_from_a_cluster_of_ones_own(trust):
+    before = psutil.Process().net_connections("tcp")
+    with client_of(None, 1) as client:
+        client.wait_for_workers(1)
+        ports = set(listening_ports(os.getpid())) - {c.laddr.port for c in before}
+        assert len(ports) == 3
+        assert not [port for port in ports if opens_to(port) or opens_to(port, trust)]
         assert client.submit(sum, [1, 2]).result() == 3
 
 
