@@ -8,7 +8,6 @@ programs name the reason why they cannot open the dataset.
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
@@ -44,7 +43,7 @@ from wafer_viewer.store.dataset.scan_record import (
     frames_file,
     set_version,
 )
-from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors, remove, require_space
+from wafer_viewer.store.io.atomic_files import atomic_write, remove, require_space
 
 _PAGES_AT_ONCE = 16
 """Number of pages that are compressed between two calls of the progress."""
@@ -204,8 +203,6 @@ def _replace(data: Dataset, field: Field, codec: str, tick: Progress) -> None:
             close_file(temporary, crc if crc is not None else 0)
         del source
         _require_read_back(data, temporary, shape, lines)
-        _to_disk(temporary)
-    _to_disk(path.parent)
 
 
 def _good_pages(data: Dataset, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> Image:
@@ -251,18 +248,6 @@ def _parts(data: Dataset, pages: Image, lines: Sequence[FrameKept], tick: Progre
         tick(first / len(pages))
         part = slice(first, first + _PAGES_AT_ONCE)
         yield np.where(present[part, None, None], pages[part], pages.dtype.type(0))
-
-
-def _to_disk(path: Path) -> None:
-    """Wait until a file or a folder is on the disk."""
-    if os.name == "nt" and path.is_dir():
-        return
-    with os_errors_as_dataset_errors(path):
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _remove_partial_files(folder: Path) -> None:

@@ -188,7 +188,7 @@ KINDS = (
     _kind("Frames", rf"{FRAMES}/[^/]+\.tif", None),  # compared with the journal
     _kind("Pictures of results", _RESULT + r"thumbnails/\d+\.jpg", None),  # for viewing only, never measured
     _kind("Lock", r"lock", None),  # names the process that writes; the lock of the operating system counts
-    _kind("Left by a process that ended", r"(.+/)?\.[^/]+\.part(/.*)?", None),  # never read
+    _kind("Left by a process that ended", r"(.+/)?\.[^/]+\.part(\.old)?(/.*)?", None),  # never read
 )
 
 

@@ -17,7 +17,7 @@ from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
-from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors
+from wafer_viewer.store.io.atomic_files import atomic_write, make_folder, os_errors_as_dataset_errors, to_disk
 from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_json, save_json, stored_checksum
 from wafer_viewer.store.mosaic.missing_shards import require_complete_once
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses, write_poses
@@ -89,7 +89,7 @@ class Result:
     def save_surface(self, field: Field, surface: HeightMap) -> None:
         """Save the surface of a field, replacing an earlier one."""
         path = self._surface_file(field)
-        self._make_folder(path.parent)
+        make_folder(path.parent)
         with atomic_write(path) as temporary:
             write_npz(surface, temporary)
 
@@ -133,7 +133,7 @@ class Result:
 
     def begin_mosaic_update(self, poses: Poses) -> Path:
         """Save the poses of a mosaic update; until `commit_mosaic_update` only some fields may be drawn at them."""
-        self._make_folder(self.path)
+        make_folder(self.path)
         write_poses(poses, self.path / DRAWING)
         return self.path / DRAWING
 
@@ -141,6 +141,7 @@ class Result:
         """Commit the poses of the finished mosaic update."""
         with os_errors_as_dataset_errors(self.path / POSES):
             (self.path / DRAWING).replace(self.path / POSES)
+            to_disk(self.path)
 
     def shows_all(self, fields: Iterable[Field]) -> bool:
         """Return whether the mosaic contains every surface, all of them placed in one solution."""
@@ -194,7 +195,7 @@ class Result:
     def save_thumbnail(self, number: int, jpeg: bytes) -> None:
         """Save the thumbnail of a measurement result."""
         path = self._thumbnail_file(number)
-        self._make_folder(path.parent)
+        make_folder(path.parent)
         with atomic_write(path) as temporary:
             temporary.write_bytes(jpeg)
 
@@ -209,9 +210,5 @@ class Result:
         return self.path / SURFACES / f"{field.name}.npz"
 
     def _save(self, name: str, spec: Spec) -> None:
-        self._make_folder(self.path)
+        make_folder(self.path)
         save_json(self.path / name, spec)
-
-    def _make_folder(self, folder: Path) -> None:
-        with os_errors_as_dataset_errors(folder):
-            folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,8 @@
-"""Atomic writes: data go to a temporary file that is then renamed, so that no partial file is visible."""
+"""Atomic and durable writes: data go to a temporary file that is then renamed, so that no partial file is visible.
+
+A power cut may lose any write that was not waited for, and those after it may survive. So the contents are on the disk
+before the name is, and the name before the writer returns.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,10 @@ from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
 
-_PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
-"""Name of a file or folder that is being written, with the number of the process."""
+_PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part(\.old)?")
+"""Name of a file or folder that is being written, or was replaced, with the number of the process."""
+_NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
+"""Errors by which file systems say that they have nothing to wait for in a folder."""
 DEAD_AFTER_S = 900.0
 """Age of the last change from which a part of no running process is dead; a live one changes every few seconds."""
 _MENDS = {
@@ -36,17 +42,65 @@ _MENDS = {
 def atomic_write(path: Path) -> Generator[Path]:
     """Context manager for an atomic write: yields a temporary path, renamed to `path`, or removed on failure.
 
-    The path may be a file or a folder. Raises DatasetError when it cannot be written to.
+    The path may be a file or a folder. It is on the disk at the end; inside another part, when that is. Raises
+    DatasetError when it cannot be written to.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
+    is_inside_part = any(_PART.fullmatch(parent.name) for parent in path.parents)
     try:
         with os_errors_as_dataset_errors(path):
             yield temporary
-            _move(temporary, path)
+            if not is_inside_part:
+                _all_to_disk(temporary)
+            _move(temporary, path, wait=not is_inside_part)
     except DatasetError as fault:  # report the name that the user knows
         raise DatasetError(str(fault).replace(temporary.name, path.name)) from fault
     finally:
         remove(temporary)
+
+
+def to_disk(path: Path) -> None:
+    """Wait until the contents of a file, or the names in a folder, are on the disk. Raises OSError when they cannot."""
+    is_folder = path.is_dir()
+    if is_folder and os.name == "nt":
+        return
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        flush(descriptor)
+    except OSError as fault:
+        if not (is_folder and fault.errno in _NOT_FOR_FOLDERS):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def flush(descriptor: int) -> None:
+    """Wait until an open file is on the disk, and not in the memory of the disk."""
+    if sys.platform == "darwin":
+        import fcntl
+
+        fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
+    else:
+        os.fsync(descriptor)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, on the disk when it returns. Raises DatasetError when it cannot be made."""
+    with os_errors_as_dataset_errors(path):
+        made = [place for place in (path, *path.parents) if not place.exists()]
+        path.mkdir(parents=True, exist_ok=True)
+        for place in reversed(made):
+            to_disk(place.parent)
+
+
+def _all_to_disk(path: Path) -> None:
+    """Wait until a file, or a folder with all that is in it, is on the disk."""
+    for place, _, files in os.walk(path, topdown=False):
+        for name in files:
+            to_disk(Path(place) / name)
+        to_disk(Path(place))
+    if not path.is_dir():
+        to_disk(path)
 
 
 @contextmanager
@@ -157,12 +211,13 @@ def _existing(folder: Path) -> Path:
     return next(p for p in (absolute, *absolute.parents) if p.exists())
 
 
-def _move(source: Path, target: Path) -> None:
+def _move(source: Path, target: Path, *, wait: bool) -> None:
     """Rename, also over a non-empty folder, which is moved away first and removed afterwards."""
-    if not target.is_dir():
-        source.replace(target)
-        return
-    aside = target.with_name(f"{source.name}.old")
-    target.rename(aside)
-    source.rename(target)
-    remove(aside)
+    aside = target.with_name(f"{source.name}.old") if target.is_dir() else None
+    if aside is not None:
+        target.rename(aside)
+    source.replace(target)
+    if wait:
+        to_disk(target.parent)
+    if aside is not None:
+        remove(aside)

@@ -24,7 +24,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
 from wafer_viewer.model.spec import Spec, decode, encode
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
+from wafer_viewer.store.io.atomic_files import flush, os_errors_as_dataset_errors, to_disk, write_text
 from wafer_viewer.store.io.guarded_reading import read_content
 
 SURFACES = "surfaces"
@@ -341,12 +341,15 @@ def append_bytes(path: Path, line: bytes) -> None:
     The line then does not count.
     """
     with os_errors_as_dataset_errors(path):
+        is_new = not path.exists()
         path.touch()
         os.truncate(path, len(complete_lines(path)))
         with path.open("ab", buffering=0) as file:
             if file.write(line) != len(line):
                 raise DatasetError(f"{path} cannot be written: the disk is full: free some space.")
-            os.fsync(file.fileno())
+            flush(file.fileno())
+        if is_new:
+            to_disk(path.parent)
 
 
 def complete_lines(path: Path) -> bytes:

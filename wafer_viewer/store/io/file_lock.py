@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors
 
 _PAUSE_S = 0.02
 
@@ -44,8 +44,8 @@ def locked(path: Path, most_s: float = 10.0) -> Generator[None]:
 
     Raises DatasetError when another program holds it for `most_s`, or it cannot be made.
     """
+    make_folder(path.parent)
     with os_errors_as_dataset_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         until = time.monotonic() + most_s

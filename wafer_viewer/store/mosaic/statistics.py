@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
-from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.atomic_files import atomic_write, make_folder
 from wafer_viewer.store.io.checksums import Checksum, remedy
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.zarr_shards import CHECKSUM_BYTES, append_checksum, strip_checksum
@@ -112,7 +112,7 @@ def save_statistics(mosaic: Path, shape: tuple[int, int], top: int, left: int, l
     blocks = _blocks_of(layers, _step(shape))
     stored = _loaded(path, blocks.dtype) if path.exists() else _empty_blocks((n, n), blocks.dtype)
     stored[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     with atomic_write(path) as temporary:
         temporary.write_bytes(append_checksum(stored.tobytes()) if _has_checksums(mosaic) else stored.tobytes())
 

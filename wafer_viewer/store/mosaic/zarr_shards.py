@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
-from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.atomic_files import atomic_write, make_folder, os_errors_as_dataset_errors, to_disk
 from wafer_viewer.store.io.checksums import crc32c, damaged, remedy
 
 ABSENT = 2**64 - 1
@@ -89,8 +89,10 @@ class Shards:
                 chunks[place] = encoded
         if chunks:
             self._save(path, chunks)
-        else:
-            path.unlink(missing_ok=True)
+        elif path.exists():
+            with os_errors_as_dataset_errors(path):
+                path.unlink()
+                to_disk(path.parent)
 
     def _save(self, path: Path, chunks: Chunks) -> None:
         n = self.shard_px // self.chunk_px
@@ -99,7 +101,7 @@ class Shards:
         for place, chunk in chunks.items():
             index[place] = offset, len(chunk)
             offset += len(chunk)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         with atomic_write(path) as temporary, temporary.open("wb") as file:
             file.writelines(chunks.values())
             file.write(append_checksum(index.tobytes()))

@@ -7,7 +7,7 @@ from pathlib import Path
 from wafer_viewer.model.acquisition.characteristics import CalibrationKind, CalibrationRecord
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import load_json, save_json
 from wafer_viewer.store.records.flat_fields import write_flat_field
 from wafer_viewer.store.records.gauge_records import CalibrationChange, record_change
@@ -43,8 +43,7 @@ def write_calibration(folder: Path, record: CalibrationRecord) -> Path:
     path = folder / FOLDER / f"{day}-{time}-{record.result.kind}.json"
     if path.exists():
         raise DatasetError(f"{path} exists: a record of a calibration is never written again.")
-    with os_errors_as_dataset_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     if (flat_field := record.result.flat_field) is not None:
         write_flat_field(path.parent, flat_field, READ_ONLY)
     save_json(path, replace(record, result=replace(record.result, flat_field=None)))

@@ -7,7 +7,7 @@ from pathlib import Path
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.flat_field import FlatField
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
+from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import load_json, save_json
 
 FOLDER = "flat-fields"
@@ -19,8 +19,7 @@ def write_flat_field(folder: Path, flat_field: FlatField, permissions: int) -> P
     """Write a flat field into the folder of the calibrations; one with the same content stays as it is."""
     path = _path(folder, flat_field.digest)
     if not path.exists():
-        with os_errors_as_dataset_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         save_json(path, flat_field)
         with os_errors_as_dataset_errors(path):
             path.chmod(permissions)

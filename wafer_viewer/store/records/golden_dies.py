@@ -18,7 +18,13 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.store.io.archives import Archive, open_archive
-from wafer_viewer.store.io.atomic_files import natural_sort_key, os_errors_as_dataset_errors, remove
+from wafer_viewer.store.io.atomic_files import (
+    make_folder,
+    natural_sort_key,
+    os_errors_as_dataset_errors,
+    remove,
+    to_disk,
+)
 from wafer_viewer.store.io.checksums import seal_archive
 
 FOLDER, ENDING = "golden", ".golden.npz"
@@ -60,8 +66,7 @@ def save_golden(golden: GoldenDie, path: str | Path) -> Path:
     versions = versions_of(folder, name)
     if versions:
         _require_product(header_of(versions[-1]), golden.header.product)
-    with os_errors_as_dataset_errors(place):
-        folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     return _write_next(golden, folder, name, _version(versions[-1]) + 1 if versions else 1)
 
 
@@ -171,7 +176,9 @@ def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Pat
                 np.savez_compressed(file, header=np.array(encode(header, "json")), **members)
             with os_errors_as_dataset_errors(path):
                 seal_archive(temporary)
+                to_disk(temporary)
             if _named(temporary, path):
+                to_disk(folder)
                 return path
             version += 1
     finally:

@@ -12,7 +12,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.job import Notebook
 from wafer_viewer.model.spec import decode, encode, replace
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, write_text
+from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors, remove, write_text
 from wafer_viewer.store.io.checksums import load_json, require_good_json, save_json
 from wafer_viewer.store.io.guarded_reading import read_content
 
@@ -69,8 +69,7 @@ def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:
         When a file of that name exists and is no valid recipe.
     """
     path = _place(folder, recipe.product, recipe.name)
-    with os_errors_as_dataset_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_text(path, encode(recipe))
     return path
 
@@ -153,8 +152,7 @@ def read_inspection(result: Path) -> Inspection | None:
 
 def write_inspection(result: Path, inspection: Inspection) -> None:
     """Save an inspection atomically, replacing an earlier one."""
-    with os_errors_as_dataset_errors(result):
-        result.mkdir(parents=True, exist_ok=True)
+    make_folder(result)
     save_json(result / DEFECTS, inspection)
 
 
@@ -219,7 +217,6 @@ def read_notebook(result: Path) -> Notebook:
 
 def write_notebook(result: Path, notebook: Notebook) -> None:
     """Save a notebook, replacing the earlier one. Raises DatasetError when that is damaged."""
-    with os_errors_as_dataset_errors(result):
-        result.mkdir(parents=True, exist_ok=True)
+    make_folder(result)
     require_good_json(result / NOTEBOOK)
     save_json(result / NOTEBOOK, notebook)
