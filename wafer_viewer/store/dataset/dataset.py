@@ -166,6 +166,11 @@ class Dataset:
             del self._missed[shot]
 
     @property
+    def journal_bytes(self) -> int:
+        """Size of the journal without what a power cut left of an unfinished pass."""
+        return self._journal.n_bytes
+
+    @property
     def name(self) -> str:
         """Folder name without its suffix."""
         return self.path.stem

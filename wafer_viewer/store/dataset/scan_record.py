@@ -1,13 +1,14 @@
 """Record of a scan: its metadata in ``scan.json``, and the journal with one JSON line per event.
 
-A torn last line, as after a power failure, is ignored; a damaged line anywhere else is an error.
+A torn last line, as after a power failure, is ignored, and so is a pass from its first damaged line on, if it never
+ended: the disk may have kept some of its lines and lost others. A damaged line anywhere else is an error.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +24,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_err
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.dataset.frame_pages import PageShape
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
+from wafer_viewer.store.io.atomic_files import flush, os_errors_as_dataset_errors, to_disk, write_text
 from wafer_viewer.store.io.checksums import (
     MOST_RECORD_BYTES,
     Checksum,
@@ -283,6 +284,8 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
 
 
 Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
+_WAITED_FOR = PassBegun | PassEnded | WindowChanged | Finished
+"""Lines that are on the disk before the next one is written, as everything before them."""
 _DECODER = msgspec.json.Decoder(Line)
 _DAMAGE = (msgspec.DecodeError, ValueError, RecursionError)
 _LARGE_BYTES = 1 << 22
@@ -296,6 +299,8 @@ class JournalReader:
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._number = path, 0, 0
+        self._in_pass = False
+        """Whether the frames of the lines before the next one count only once their pass has ended."""
 
     @property
     def n_bytes(self) -> int:
@@ -321,7 +326,9 @@ class JournalReader:
                 continue
             self._offset += len(text)
             self._number += len(lines)
-            yield from lines
+            for line in lines:
+                self._follow(line)
+                yield line
 
     def _line_by_line(self, text: bytes) -> Generator[Line, None, bool]:
         """Yield lines one by one; return whether all of them were complete."""
@@ -331,8 +338,15 @@ class JournalReader:
                 return False
             self._offset += len(one) + 1
             self._number += 1
+            self._follow(line)
             yield line
         return True
+
+    def _follow(self, line: Line) -> None:
+        if isinstance(line, PassBegun):
+            self._in_pass = line.provisional
+        elif isinstance(line, PassEnded):
+            self._in_pass = False
 
     def _new_text(self) -> bytes:
         """Return the next complete lines, of about `_BATCH_BYTES` together."""
@@ -348,22 +362,40 @@ class JournalReader:
         try:
             return _decoded(text)
         except _DAMAGE as fault:
-            if self._offset + len(text) + 1 >= self._path.stat().st_size:
+            if self._offset + len(text) + 1 >= self._path.stat().st_size or (self._in_pass and self._never_ends()):
                 return None
             raise DatasetError(
                 f"{self._path} is damaged in line {self._number + 1}: restore it from a copy, "
                 "or delete that line and those after it and scan the rest again."
             ) from fault
 
+    def _never_ends(self) -> bool:
+        """Return whether nothing that is waited for, so that all before it is on the disk, follows in the journal."""
+        text = self._path.read_bytes()[self._offset :]
+        return not any(isinstance(line, _WAITED_FOR) for line in _readable(text.split(b"\n")))
+
+
+def _readable(lines: Iterable[bytes]) -> Iterator[Line]:
+    """Yield the lines that are not damaged."""
+    for line in lines:
+        with suppress(*_DAMAGE):
+            yield _decoded(line)
+
 
 class JournalWriter:
-    """Appends lines, each with one write; a torn last line of an earlier writer is truncated first."""
+    """Appends lines, each with one write; what a power cut left behind the first `n_bytes` is truncated first.
 
-    def __init__(self, path: Path) -> None:
+    n_bytes: None for all but a torn last line.
+    """
+
+    def __init__(self, path: Path, n_bytes: int | None = None) -> None:
         self._path = path
         with os_errors_as_dataset_errors(path):
             path.touch()
-            os.truncate(path, _end_of_complete_lines(path))
+            end = _end_of_complete_lines(path) if n_bytes is None else n_bytes
+            if path.stat().st_size > end:
+                os.truncate(path, end)
+                to_disk(path)
             self._file = path.open("ab", buffering=0)
 
     def write(self, line: Line) -> None:
@@ -372,6 +404,11 @@ class JournalWriter:
         with os_errors_as_dataset_errors(self._path):
             if self._file.write(text) != len(text):
                 raise DatasetError(f"{self._path} cannot be written: the disk is full: free some space.")
+
+    def to_disk(self) -> None:
+        """Wait until all lines are on the disk."""
+        with os_errors_as_dataset_errors(self._path):
+            flush(self._file.fileno())
 
     def close(self) -> None:
         """Close the file; idempotent."""

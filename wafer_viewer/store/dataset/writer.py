@@ -1,4 +1,9 @@
-"""Dataset writer: the destination of a scan's frames. Each page is written before its journal line."""
+"""Dataset writer: the destination of a scan's frames. Each page is written before its journal line.
+
+The lines of a pass say that its frames count once the last of them, that of its end, is on the disk. It is written when
+the frames and the lines before it are there; the line of a begin, and lines between passes, are waited for as well. So
+a power cut costs the pass that runs, and nothing else: what it leaves of its lines is recognised, and ignored.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +45,7 @@ from wafer_viewer.store.dataset.scan_record import (
     frames_file,
     write_record,
 )
-from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space, to_disk
 from wafer_viewer.store.io.checksums import save_json
 
 _OF_NEW_FOLDER = re.compile(rf"{FRAMES}|{RESULTS}|lock|{re.escape(JOURNAL)}|{re.escape(FLAT_FIELD)}|\..*\.part")
@@ -62,13 +67,16 @@ class DatasetWriter:
         self._lock = lock
         self._fields = {f.number: f for f in record.plan.fields}
         self._files: dict[int, PageWriter] = {}
-        self._journal = scan_record.JournalWriter(path / JOURNAL)
-        self._stored = Dataset(path, record).kept()
-        self._focus_at_end = Dataset(path, record).focus_at_end()
+        data = Dataset(path, record)
+        self._journal = scan_record.JournalWriter(path / JOURNAL, data.journal_bytes)
+        self._stored = data.kept()
+        self._focus_at_end = data.focus_at_end()
         self._provisional: set[Shot] | None = None
         """Slots with a frame of the current pass; None between passes, where a frame counts at once."""
         self._changed: set[int] = set()
         """Numbers of the fields that got frames."""
+        self._not_on_disk: set[int] = set()
+        """Numbers of the fields that got frames which may not be on the disk yet."""
         self._n_stored_of_field = Counter(shot.field for shot in self._stored)
 
     @classmethod
@@ -151,9 +159,9 @@ class DatasetWriter:
 
     def pass_begun(self, number: int, leg: Leg) -> None:
         """Start a leg; its frames count once it has ended."""
-        self._provisional = set()
         begun = scan_record.PassBegun(number, leg.train.axis, leg.train.n_frames, _now(), provisional=True)
-        self._journal.write(begun)
+        self._note(begun)
+        self._provisional = set()
 
     def frame(self, frame: Frame) -> None:
         """Write a frame: its page, then its journal line. A slot with a frame is not written again.
@@ -170,16 +178,17 @@ class DatasetWriter:
         """Record an empty slot, or reject its frame of the current pass."""
         if self._provisional is not None:
             self._provisional.discard(shot)
-        self._journal.write(scan_record.Missed(shot, pulse_count, why))
+        self._note(scan_record.Missed(shot, pulse_count, why))
 
     def repaired(self, shot: Shot) -> None:
         """Record that an empty slot now has its frame."""
-        self._journal.write(scan_record.Repaired(shot))
+        self._note(scan_record.Repaired(shot))
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """End a leg; its frames count from now on."""
-        self._journal.write(scan_record.PassEnded(number, summary, _now()))
+        """End a leg; its frames are on the disk, and count from now on."""
+        self._all_to_disk()
         shots, self._provisional = self._provisional or set[Shot](), None
+        self._note(scan_record.PassEnded(number, summary, _now()))
         self._count(shots)
 
     @property
@@ -189,7 +198,7 @@ class DatasetWriter:
 
     def note_focus_at_end(self, field_number: int, ends: tuple[bool, bool]) -> None:
         """Record that heights in focus touch the ends (low, high) of the window of a field."""
-        self._journal.write(scan_record.FocusAtEnd(field_number, *ends))
+        self._note(scan_record.FocusAtEnd(field_number, *ends))
         self._focus_at_end[field_number] = ends
 
     def change_window(self, field: Field) -> None:
@@ -202,9 +211,12 @@ class DatasetWriter:
         changed = scan_record.WindowChanged(
             field.number, field.z_start_um, field.n_frames, tags_crc32c(new, pages), _now()
         )
-        self._journal.write(changed)
         with os_errors_as_dataset_errors(path):
+            to_disk(new)
+            to_disk(new.parent)
+            self._note(changed)
             new.replace(path)
+            to_disk(path.parent)
         self.record = self.record.with_window(changed)
         self._fields[field.number] = field
         self._files.pop(field.number, None)
@@ -218,27 +230,31 @@ class DatasetWriter:
             path = frames_file(self.path, field)
             part = _part(path)
             if part.exists():
-                part.unlink() if self._n_stored_of_field[field.number] else part.replace(path)
+                with os_errors_as_dataset_errors(path):
+                    part.unlink() if self._n_stored_of_field[field.number] else part.replace(path)
+                    to_disk(path.parent)
 
     def fault(self, what: str) -> None:
         """Record a fault for the operator."""
-        self._journal.write(scan_record.FaultNoted(what, _now()))
+        self._note(scan_record.FaultNoted(what, _now()))
 
     def finish(self) -> None:
         """Mark the scan as finished; slots that are empty now stay empty."""
-        self._journal.write(scan_record.Finished(_now()))
+        self._note(scan_record.Finished(_now()))
 
     def close(self) -> None:
         """Describe the frames in their files, close the journal and release the lock; idempotent.
 
         A description that cannot be written is left out: the frames and the journal are complete without it.
         """
-        self._journal.close()
         try:
             if self._lock.held:
+                self._all_to_disk()
+                self._journal.close()
                 with contextlib.suppress(DatasetError, OSError):
                     write_headers(Dataset(self.path, self.record), self._changed)
         finally:
+            self._journal.close()
             self._lock.release()
 
     def __enter__(self) -> Self:
@@ -252,6 +268,7 @@ class DatasetWriter:
     def _store(self, frame: Frame, image: Image) -> None:
         shot = frame.shot
         self._changed.add(shot.field)
+        self._not_on_disk.add(shot.field)
         self._file(shot.field).write(self.record.page_of(shot.k, shot.exposure), image)
         self._journal.write(
             scan_record.FrameKept(
@@ -269,6 +286,20 @@ class DatasetWriter:
             self._provisional.add(shot)
         else:
             self._count({shot})
+
+    def _note(self, line: scan_record.Line) -> None:
+        """Write a line that is no frame; between passes it is on the disk when this returns."""
+        self._journal.write(line)
+        if self._provisional is None:
+            self._journal.to_disk()
+
+    def _all_to_disk(self) -> None:
+        """Wait until the frames that were written are on the disk, and then until the journal is."""
+        with os_errors_as_dataset_errors(self.path):
+            for number in sorted(self._not_on_disk):
+                to_disk(frames_file(self.path, self._fields[number]))
+        self._not_on_disk.clear()
+        self._journal.to_disk()
 
     def _count(self, shots: set[Shot]) -> None:
         """Count frames as kept, and report the fields that they complete."""
@@ -331,7 +362,7 @@ def _remove_half_made(folder: Path) -> None:
 def _create_files(folder: Path, record: ScanRecord, flat_field: FlatField | None) -> ScanRecord:
     """Create everything except the frames and return the record with the checksums of their files.
 
-    ``scan.json`` is last, so that a partial folder is no dataset.
+    ``scan.json`` is last, when all others are on the disk, so that a partial folder is no dataset.
     """
     require_space(folder, sum(record.pages(field).file_bytes for field in record.plan.fields), folder.name)
     with os_errors_as_dataset_errors(folder):
@@ -345,6 +376,11 @@ def _create_files(folder: Path, record: ScanRecord, flat_field: FlatField | None
         path, pages = frames_file(folder, field), record.pages(field)
         create_pages(path, pages, record.pixel_um, _description(record, field.number))
         tags.append(tags_crc32c(path, pages))
+    with os_errors_as_dataset_errors(folder):
+        for path in (folder / FRAMES).iterdir():
+            to_disk(path)
+        for place in (folder / FRAMES, folder, folder.parent):
+            to_disk(place)
     complete = replace(record, frame_tag_checksums=tuple(tags))
     write_record(folder, complete)
     return complete
