@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -262,6 +263,26 @@ def test_a_scan_that_was_interrupted_continues(tmp_path):
     assert "has all its frames" in refused("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
     (tmp_path / "plan.toml").write_text(PLAN.format(frames=401))
     assert "another plan" in refused("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
+
+
+def test_a_damaged_frame_is_found_and_taken_again_by_the_command_that_the_check_names(tmp_path):
+    (tmp_path / "plan.toml").write_text(PLAN.format(frames=6))
+    assert viewer("scan", "plan.toml", "-o", "small.wafer", cwd=tmp_path).returncode == 0
+    assert "has all its frames, and none is damaged" in refused("scan", "plan.toml", "-o", "small.wafer", cwd=tmp_path)
+    frames = tmp_path / "small.wafer" / "frames" / "r0000c0000.tif"
+    content = bytearray(frames.read_bytes())
+    content[len(content) // 2] ^= 1
+    frames.write_bytes(content)
+    checked = viewer("check", "small.wafer", cwd=tmp_path)
+    assert checked.returncode == 1
+    (mend,) = [line for line in checked.stdout.splitlines() if "mend: " in line]
+    command = re.search(r"\(wafer-viewer (.*)\)$", mend)[1].replace("PLAN.toml", "plan.toml").split()
+    done = viewer(*command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "12 of 12 frames kept" in done.stdout
+    again = viewer("check", "small.wafer", cwd=tmp_path)
+    assert again.returncode == 0, again.stdout
+    assert "1 frame was damaged, of field 1: it is taken again" in again.stdout
 
 
 def test_images_become_a_surface_in_one_line(images, tmp_path):

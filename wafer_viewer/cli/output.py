@@ -191,6 +191,11 @@ def print_check(data: Dataset, report: CheckReport) -> None:
             print(f"  {what}: field {shot.field}, frame {shot.k}, exposure {shot.exposure}")
         if len(shots) > NAMED:
             print(f"  {what}: and {len(shots) - NAMED} more")
+    if report.damaged:
+        from wafer_viewer.store.dataset.scan_record import frames_file
+        from wafer_viewer.store.io.checksums import remedy
+
+        print(f"  mend: {remedy(frames_file(data.path, data.field(report.damaged[0].field)))}")
     for fault in report.faults:
         print(f"  {fault}")
 

@@ -264,15 +264,16 @@ class SessionCoordinator:
 
     @command.audited("Scan continued")
     def continue_scan(self) -> Future[Path]:
-        """Scan the missing frames of the open dataset; the future is done once the scan has started."""
+        """Scan the missing and the damaged frames of the open dataset; the future is done once the scan has started.
+
+        It fails with a DatasetError when there are none.
+        """
         self.rig.require_idle("start another")
         self.plan_editor.require_confirmed()
         shown = self.library.shown
         self.compression.require_over(shown.path)
         if shown.read_only is not None:
             raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
-        if not self.library.dataset.missing():
-            raise DatasetError(f"{shown.name} has all its frames: there is nothing to continue.")
         self.library.release_lock()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 

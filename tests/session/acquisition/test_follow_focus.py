@@ -16,6 +16,7 @@ from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTa
 from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
 from wafer_viewer.session.planning.plan_editor import look_before, plan_of
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.writer import DatasetWriter
 
 BUMP_UM = 35.0
 JOB = Job(
@@ -99,7 +100,7 @@ def test_a_crash_between_the_journal_and_the_new_file_is_mended(bumped, tmp_path
     data = Dataset.open(scan.path)
     file = scan.path / "frames" / f"{unseen.name}.tif"
     wide = data.field(unseen.number)
-    with writer_of(Scan(scan.path, plan, JOB, goes_on=True), rig) as writer:
+    with DatasetWriter.resume(scan.path) as writer:
         writer.change_window(wide)
     file.rename(file.with_name(f".{file.name}.window"))
     file.write_bytes(b"what was there before")

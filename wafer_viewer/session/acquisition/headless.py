@@ -17,7 +17,7 @@ from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.exposure import FoundExposure
 from wafer_viewer.model.acquisition.positioners import PositionerState
 from wafer_viewer.model.acquisition.procedure import Procedure, ProcedureStep
-from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.spec import replace as replace_spec
@@ -53,7 +53,8 @@ def scan_to(
     """Scan a job into a new dataset, or continue an unfinished one.
 
     `ready` is called with the preflight checks and may raise. `warn` is called with every fault of the running scan.
-    Raises DatasetError when the dataset cannot be written, PlanError when it belongs to another job.
+    Damaged frames are taken again. Raises DatasetError when the dataset cannot be written or there is nothing to take,
+    PlanError when it belongs to another job.
     """
     if path.exists():
         scan = _continued_scan(path, job)
@@ -177,8 +178,6 @@ def _continued_scan(path: Path, job: Job) -> Scan:
         raise PlanError(
             f"{path} was started with another plan: choose another name, or give the plan it was started with."
         )
-    if not data.missing():
-        raise DatasetError(f"{path} has all its frames: choose another name.")
     return Scan(path, data.scan.plan, job, goes_on=True)
 
 

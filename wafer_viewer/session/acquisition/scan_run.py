@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -256,11 +257,14 @@ def order_of_fields(plan: ScanPlan) -> list[int]:
 
 
 def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
-    """Return the writer of a new dataset, or of the continued one. Raises DatasetError when it cannot be written."""
+    """Return the writer of a new dataset, or of the continued one.
+
+    Raises DatasetError when it cannot be written, or has all its frames and none of them is damaged.
+    """
     positioners = tuple(state.reading for state in read_positioners(rig))
     require_same_optics(scan, rig)
     if scan.goes_on:
-        return DatasetWriter.resume(scan.path)
+        return _continuing_writer(scan.path)
     folder = scan.path.absolute().parent
     calibration = calibration_in_force(folder, rig.name, rig.calibration)
     return DatasetWriter.create(
@@ -275,6 +279,14 @@ def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
         bits=rig.limits.camera.bits,
         positioners=positioners,
     )
+
+
+def _continuing_writer(path: Path) -> DatasetWriter:
+    writer = DatasetWriter.resume(path)
+    if writer.is_complete:
+        writer.close()
+        raise DatasetError(f"{path} has all its frames, and none is damaged: choose another name for a new scan.")
+    return writer
 
 
 def require_same_optics(scan: Scan, rig: Rig) -> None:

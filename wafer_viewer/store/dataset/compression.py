@@ -44,6 +44,7 @@ from wafer_viewer.store.dataset.scan_record import (
     set_version,
 )
 from wafer_viewer.store.io.atomic_files import atomic_write, remove, require_space
+from wafer_viewer.store.io.checksums import remedy
 
 _PAGES_AT_ONCE = 16
 """Number of pages that are compressed between two calls of the progress."""
@@ -104,6 +105,14 @@ def decompress_fields(data: Dataset, fields: Sequence[Field]) -> None:
     for field in fields:
         if compression_of(frames_file(data.path, field), data.scan.pages(field)) != "none":
             _replace(data, field, "none", silent)
+
+
+def rewrite_field(data: Dataset, field: Field) -> None:
+    """Write the uncompressed file of a field again from its frames; the caller holds the lock.
+
+    Raises DatasetError when one of them is damaged.
+    """
+    _replace(data, field, "none", silent)
 
 
 def write_headers(data: Dataset, changed: Container[int] = ()) -> None:
@@ -212,10 +221,7 @@ def _good_pages(data: Dataset, path: Path, shape: PageShape, lines: Sequence[Fra
     except DatasetError as fault:
         raise _DamagedFrames(str(fault)) from fault
     if (page := _first_damaged(data, pages, lines)) is not None:
-        raise _DamagedFrames(
-            f"{path} is left as it is, the checksum of page {page} differs: restore it from a copy, or scan its field "
-            "again."
-        )
+        raise _DamagedFrames(f"{path} is left as it is, the checksum of page {page} differs: {remedy(path)}.")
     return pages
 
 

@@ -146,6 +146,9 @@ class Dataset:
             case Missed():
                 self._missed[line.shot] = line
                 self._provisional.drop(line.shot)
+                if line.voids:
+                    self._frames.drop(line.shot)
+                    self._ended = False
             case FaultNoted():
                 self._faults.append(line.what)
             case FocusAtEnd():
@@ -223,6 +226,10 @@ class Dataset:
     def focus_at_end(self) -> dict[int, tuple[bool, bool]]:
         """Return the fields whose heights in focus touch the low or the high end of their window, by number."""
         return dict(self._focus_at_end)
+
+    def kept_of(self, field: Field) -> list[Shot]:
+        """Return the slots of a field that have a frame, without those of the current pass."""
+        return list(self._frames.of(field.number))
 
     def kept(self) -> set[Shot]:
         """Return the slots that have a frame, without those of the current pass."""
@@ -323,7 +330,7 @@ class Dataset:
         for field in with_progress(self.fields, len(self.fields), "The check", progress, should_stop):
             try:
                 self._require_good_tags(field, tags.get(field.number))
-                bad = self._damaged(field)
+                bad = self.damaged_slots(field)
             except DatasetError as fault:
                 faults.append(str(fault))
                 continue
@@ -411,12 +418,16 @@ class Dataset:
                 f"again from its frames (wafer-viewer compress {self.path.name} --codec none)."
             )
 
-    def _damaged(self, field: Field) -> list[Shot]:
+    def damaged_slots(self, field: Field) -> list[Shot]:
+        """Return the slots of a field whose frame differs from its checksum.
+
+        Raises DatasetError when its file cannot be read.
+        """
         lines = list(self._frames.of(field.number).values())
         pages = map_pages(frames_file(self.path, field), self.scan.pages(field)) if lines else None
-        return self._damaged_slots(pages, lines) if pages is not None else []
+        return self._differing(pages, lines) if pages is not None else []
 
-    def _damaged_slots(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
+    def _differing(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
         """Return the slots of the journal lines whose checksum differs from that of their page."""
         page_of = self.scan.page_of
         return [
@@ -429,7 +440,7 @@ class Dataset:
         key = file_mark(path), checksum
         if key in _good_stacks:
             return
-        if bad := self._damaged_slots(pages, lines):
+        if bad := self._differing(pages, lines):
             raise DatasetError(
                 f"{path} is damaged, the checksum of frame {bad[0].k} differs"
                 f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: {remedy(path)}."

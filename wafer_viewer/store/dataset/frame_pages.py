@@ -20,7 +20,7 @@ import numpy as np
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
-from wafer_viewer.store.io.checksums import FileMark, closing_bytes, crc32c, crc_of_file, file_mark
+from wafer_viewer.store.io.checksums import FileMark, closing_bytes, crc32c, crc_of_file, file_mark, remedy
 from wafer_viewer.store.io.guarded_reading import opened_tiff
 
 _UM_PER_CM = 1e4
@@ -201,7 +201,7 @@ def map_pages(path: Path, shape: PageShape) -> Image:
 
 def decode_pages(path: Path, shape: PageShape) -> Image:
     """Return the pages of a compressed file, decoded on all cores. Raises DatasetError when one cannot be decoded."""
-    damaged = DatasetError(f"{path} is damaged, a frame of it cannot be decoded: restore it from a copy.")
+    damaged = DatasetError(f"{path} is damaged, a frame of it cannot be decoded: {remedy(path)}.")
     with parser_errors_as(lambda _: damaged), opened_tiff(path) as file:
         if any(page.shape != (shape.rows, shape.cols) or page.dtype != shape.dtype for page in file.pages):
             raise damaged
@@ -306,15 +306,15 @@ def _layout(path: Path, shape: PageShape) -> _Layout:
     if not as_expected or short:
         raise DatasetError(
             f"{path} does not hold {shape.n_pages} pages of {shape.cols} x {shape.rows} px "
-            f"with {shape.bits} bits, as scan.json says: restore it from a copy."
+            f"with {shape.bits} bits, as scan.json says: {remedy(path)}."
         )
     return found
 
 
 def _unreadable(path: Path, fault: Exception) -> DatasetError:
     if isinstance(fault, FileNotFoundError):
-        return DatasetError(f"{path} is missing: restore it from a copy, or scan its field again.")
-    return DatasetError(f"{path} cannot be read as a TIFF file: restore it from a copy.")
+        return DatasetError(f"{path} is missing: {remedy(path)}.")
+    return DatasetError(f"{path} cannot be read as a TIFF file: {remedy(path)}.")
 
 
 def _allocate(path: Path) -> None:

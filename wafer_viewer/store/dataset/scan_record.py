@@ -227,12 +227,16 @@ class FrameKept(msgspec.Struct, frozen=True, tag="frame", gc=False):
     crc32: int
 
 
-class Missed(msgspec.Struct, frozen=True, tag="missed"):
-    """Slot without a frame, or rejected frame of the current pass, with the reason."""
+class Missed(msgspec.Struct, frozen=True, tag="missed", omit_defaults=True):
+    """Slot without a frame, or rejected frame of the current pass, with the reason.
+
+    voids: the frame that the slot had since an earlier pass does not count any more, either.
+    """
 
     shot: Shot
     pulse_count: int
     why: str
+    voids: bool = False
 
 
 class Repaired(msgspec.Struct, frozen=True, tag="repaired"):

@@ -33,6 +33,7 @@ from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.dataset import scan_record
 from wafer_viewer.store.dataset.compression import decompress_fields, write_headers
+from wafer_viewer.store.dataset.damaged_frames import find_damage, make_writable, sentence_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import PageWriter, create_pages, tags_crc32c
 from wafer_viewer.store.dataset.lock import Lock
@@ -131,6 +132,8 @@ class DatasetWriter:
     def resume(cls, path: str | Path, *, on_field_complete: OnFieldComplete | None = None) -> Self:
         """Lock a dataset to continue its scan; files that lack frames are decompressed.
 
+        All frames are read: damaged ones lose their slots, and are to be taken again.
+
         Raises DatasetError when it is none or is locked, and when there is no space for what is decompressed.
         """
         folder = Path(path)
@@ -141,6 +144,7 @@ class DatasetWriter:
             data.refresh()
             held = cls(folder, data.scan, lock, on_field_complete)
             held._mend_files()
+            held._empty_damaged_slots(data)
             if data.scan.is_compressed:
                 complete = data.complete_fields()
                 decompress_fields(data, [field for field in data.fields if field.number not in complete])
@@ -151,6 +155,14 @@ class DatasetWriter:
     def kept(self) -> frozenset[Shot]:
         """Slots that have a frame, which a resumed scan may skip."""
         return frozenset(self._stored)
+
+    @property
+    def is_complete(self) -> bool:
+        """True if every slot has a frame that counts."""
+        return all(
+            self._n_stored_of_field[field.number] == self.record.pages(field).n_pages
+            for field in self.record.plan.fields
+        )
 
     @property
     def n_arrived(self) -> int:
@@ -233,6 +245,21 @@ class DatasetWriter:
                 with os_errors_as_dataset_errors(path):
                     part.unlink() if self._n_stored_of_field[field.number] else part.replace(path)
                     to_disk(path.parent)
+
+    def _empty_damaged_slots(self, data: Dataset) -> None:
+        """Void the frames that differ from their checksums, and make their files fit to be written."""
+        damages = find_damage(data)
+        for shot in (shot for damage in damages for shot in damage.shots):
+            self._journal.write(scan_record.Missed(shot, 0, "its frame was damaged on the disk", voids=True))
+            self._stored.discard(shot)
+            self._n_stored_of_field[shot.field] -= 1
+        self._journal.to_disk()
+        if what := sentence_of(damages):
+            self.fault(what)
+        data.refresh()
+        for damage in damages:
+            self._changed.add(damage.field.number)
+            make_writable(data, damage, _description(self.record, damage.field.number))
 
     def fault(self, what: str) -> None:
         """Record a fault for the operator."""

@@ -304,7 +304,8 @@ def remedy(path: Path) -> str:
     dataset = next((p.name for p in path.parents if p.suffix == ".wafer"), "NAME.wafer")
     parts = path.parts
     result = parts[len(parts) - parts[::-1].index("results")] if "results" in parts[:-1] else "default"
-    again = f"wafer-viewer stitch {dataset}" + (f" --result '{result}'" if result != "default" else "")
+    flag = f" --result '{result}'" if result != "default" else ""
+    again = f"wafer-viewer stitch {dataset}{flag}"
     if result.startswith("difference-"):
         return "compare the two surfaces again"
     if any(part.endswith(".zarr") for part in parts) and _is_of_surface_file(path):
@@ -313,9 +314,22 @@ def remedy(path: Path) -> str:
         return f"stitch the fields again ({again})"
     if path.parent.name == SURFACES or path.name in ("recipe.json", "settled.json"):
         return f"make the surface again ({again} --again)"
+    if path.name == "verdict.json":
+        judge = f"wafer-viewer measure verdict {dataset}{flag}"
+        return f"restore it from a copy, or remove it to have the wafer judged again ({judge})"
+    if path.parent.name == "frames":
+        return _remedy_of_frames(path, dataset)
     if path.name.endswith(".golden.npz"):
         return "make it again or use an older version"
     return _OTHER_MENDS.get(path.name, "restore it from a copy")
+
+
+def _remedy_of_frames(path: Path, dataset: str) -> str:
+    record = path.parent.parent / "scan.json"
+    if record.is_file() and _IMPORTED.search(record.read_bytes()):
+        return "restore it from a copy, or import its images again"
+    again = f"wafer-viewer scan PLAN.toml -o {dataset}"
+    return f"restore it from a copy, or continue the scan, which takes damaged frames again ({again})"
 
 
 def _is_of_surface_file(path: Path) -> bool:
@@ -324,9 +338,9 @@ def _is_of_surface_file(path: Path) -> bool:
     return dataset is not None and dataset.is_dir() and not (dataset / "frames").exists()
 
 
+_IMPORTED = re.compile(rb'"imported_from": ?"[^"]')
 _OTHER_MENDS = {
     "scan.json": "restore it from a copy; where you changed it by hand, take its last member, crc32c, out",
-    "verdict.json": "restore it from a copy, or remove it to have the wafer judged again",
     "findings.json": "restore it from a copy, or remove it and measure again",
     "defects.json": "restore it from a copy, or remove it and inspect again",
     "notebook.json": "restore it from a copy, or remove it: saved views and judgements are in it",
