@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.test_app import viewer
+from tests.support.datasets.unsigned import without_manifests
 from tests.test_house import ROOT
 from wafer_viewer import Dataset, step_height
 from wafer_viewer.model.acquisition.sample import Sample
@@ -64,10 +65,12 @@ def test_a_wafer_beyond_its_limits_has_status_1(judged, tmp_path):
     record = read_record(path)
     low = replace(record.job.features[0], lower_limit=20.0, upper_limit=29.0)
     write_record(path, replace(record, job=replace(record.job, features=(low,))))
+    without_manifests(path)
     printed = viewer("measure", "verdict", path)
     assert printed.returncode == 1
     assert json.loads(printed.stdout)["word"] == "fail"
     write_record(path, replace(record, job=replace(record.job, features=())))
+    without_manifests(path)
     (path / "results" / "default" / "verdict.json").unlink()
     assert "no feature with a place" in viewer("measure", "verdict", path).stderr
 

@@ -102,10 +102,10 @@ def recorded(root: Path) -> Generator[Recording]:
 
 def _opening(recording: Recording, plain: Callable[..., Any]) -> Callable[..., Any]:
     def opening(file: Any, mode: str = "r", buffering: int = -1, *args: Any, **kwargs: Any) -> Any:
-        name = None if isinstance(file, int) else recording.name_of(file)
+        name = recording.name_of(file)
         if name is None or not set(mode) & set("wax+"):
             return plain(file, mode, buffering, *args, **kwargs)
-        made = not Path(file).exists()
+        made = not isinstance(file, int) and not Path(file).exists()
         raw = _File(file, mode.replace("b", "").replace("t", ""))
         raw.recording, raw.name_below = recording, name
         recording.opened(raw.fileno(), name, made=made, emptied="w" in mode and not made)

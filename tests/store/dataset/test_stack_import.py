@@ -130,7 +130,7 @@ def test_a_stack_becomes_a_dataset(folder, tmp_path):
     assert data.scan.imported_from == "stack"
     assert data.calibration_problem("2026-01-01") == "what was imported carries no calibration"
     assert fractions == pytest.approx([(k + 1) / 12 for k in range(12)])
-    assert names(tmp_path) == ["a.wafer", "stack"]
+    assert names(tmp_path) == [".wafer-viewer", "a.wafer", "stack"]
 
 
 def grid(root, cells, n_frames=4, name="r{}_c{}_k{}.tif", dtype=np.uint8):

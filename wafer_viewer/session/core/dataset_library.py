@@ -22,11 +22,11 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, FrameStorage, OpenDataset, SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
-from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import load_json, sealed_text, verified_text
 from wafer_viewer.store.mosaic.layout import SURFACE
 from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+from wafer_viewer.store.records.manifest import require_as_saved, save_record_text
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -365,12 +365,13 @@ def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None =
 def save_summary(result: Result, info: SurfaceInfo) -> None:
     """Write a summary next to its mosaic."""
     text = msgspec.json.format(msgspec.json.encode(info), indent=2).decode()
-    write_text(result.path / SUMMARY, sealed_text(text))
+    save_record_text(result.path / SUMMARY, sealed_text(text))
 
 
 def load_summary(result: Result) -> SurfaceInfo | None:
     """Return the stored summary; None if it is missing, damaged or of another version."""
     with suppress(DatasetError), parser_errors_as(lambda _: DatasetError(f"{SUMMARY} cannot be read.")):
+        require_as_saved(result.path / SUMMARY)
         return msgspec.json.decode(verified_text(result.path / SUMMARY), type=SurfaceInfo)
     return None
 

@@ -32,7 +32,7 @@ from wafer_viewer.session.core.dataset_library import (
 from wafer_viewer.session.reporting.report import make_report
 from wafer_viewer.session.surface.worker_tasks import export_fields, export_surface, import_images
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.scan_record import JOURNAL, Finished, JournalWriter, ScanRecord, write_record
+from wafer_viewer.store.dataset.scan_record import JOURNAL, RESULTS, Finished, JournalWriter, ScanRecord, write_record
 from wafer_viewer.store.io.atomic_files import atomic_write
 
 READ_SHARE = 0.4
@@ -55,6 +55,7 @@ def import_surface(
     `read_surface` refuses, for a path that exists or cannot be written to, and when the import is stopped.
     """
     from wafer_viewer.store.formats.readers import read_surface
+    from wafer_viewer.store.records.manifest import forget_marks, sign_result, sign_scan
 
     if out.exists():
         raise DatasetError(f"{out} exists already. Nothing was written. Choose another name.")
@@ -63,6 +64,9 @@ def import_surface(
     with atomic_write(out) as temporary:
         temporary.mkdir(parents=True)
         _write(temporary, surface, src.name, partial(_part, progress, READ_SHARE, 1 - READ_SHARE), should_stop)
+    forget_marks(out)
+    sign_scan(out)
+    sign_result(out / RESULTS / DEFAULT_RESULT)
     return out
 
 

@@ -71,10 +71,11 @@ class Judge:
 def stored_verdict(data: Dataset, result: Result) -> WaferVerdict | None:
     """Return the stored verdict on this very surface of a result; None if there is none.
 
-    Raises DatasetError when the file is damaged or contradicts itself or the job.
+    Raises DatasetError when the file is damaged, is not the one that was signed, or contradicts itself or the job.
     """
     from wafer_viewer.measure.verdict import contradiction
     from wafer_viewer.store.io.checksums import load_json
+    from wafer_viewer.store.records.manifest import require_as_saved
 
     path = result.path / VERDICT
     if not (path.exists() and result.has_mosaic):
@@ -84,6 +85,7 @@ def stored_verdict(data: Dataset, result: Result) -> WaferVerdict | None:
         return None
     if (fault := contradiction(verdict, data.scan.job)) is not None:
         raise DatasetError(f"{path} was altered: {fault}. Remove it to have the wafer judged again.")
+    require_as_saved(path, trusted=True)
     return verdict
 
 
@@ -93,7 +95,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     Raises MeasureError if the job has no feature with a place, DatasetError without a stitched surface.
     """
     from wafer_viewer.measure.verdict import judge_dies, judge_features, next_action, overall
-    from wafer_viewer.store.io.checksums import save_json
+    from wafer_viewer.store.records.manifest import save_record
 
     job, mosaic = data.scan.job, result.mosaic()
     require_features(job)
@@ -115,7 +117,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
         surface=_mark(mosaic.provenance),
     )
     if keep:
-        save_json(result.path / VERDICT, verdict)
+        save_record(result.path / VERDICT, verdict)
     return verdict
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +17,7 @@ from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.audit_log import AUDIT_LOG
 from wafer_viewer.store.records.gauge_records import CALIBRATIONS, GAUGE_LOG, CalibrationChange
+from wafer_viewer.store.records.manifest import keys_of
 from wafer_viewer.store.records.signed_log import read_log
 
 LOGS: dict[str, type[Spec]] = {
@@ -27,7 +29,7 @@ LOGS: dict[str, type[Spec]] = {
 
 @dataclass(frozen=True, slots=True)
 class RecordReport:
-    """One sentence for each log that is as it was signed, and one for each record that was altered."""
+    """One sentence for each log that is as it was signed and each key, and one for each record that was altered."""
 
     logs: tuple[str, ...]
     faults: tuple[str, ...]
@@ -40,6 +42,7 @@ def check_records(data: Dataset) -> RecordReport:
     for name, kind in LOGS.items():
         path = folder / name
         _note(faults, lambda path=path, kind=kind: logs.extend(_of_log(path, kind)))
+    logs += _of_manifests(data)
     _note(faults, partial(trusted_checks, folder))
     for name in data.results():
         _note(faults, partial(stored_verdict, data, data.result(name)))
@@ -61,6 +64,15 @@ def _of_log(path: Path, kind: type[Spec]) -> list[str]:
         return []
     signed = f"{log.n_signed} signed with the key {', '.join(log.keys)}" if log.n_signed else "none signed"
     return [f"{path}: {n} record{'' if n == 1 else 's'}, {signed}"]
+
+
+def _of_manifests(data: Dataset) -> list[str]:
+    """Return a sentence for each key that manifests of a dataset are signed with."""
+    numbers = Counter(keys_of(data.path))
+    return [
+        f"{data.path}: {n} manifest{'' if n == 1 else 's'} {f'signed with the key {key}' if key else 'not signed'}"
+        for key, n in numbers.items()
+    ]
 
 
 def _require_agreement(data: Dataset, name: str) -> None:

@@ -99,6 +99,7 @@ def subtract(
     be written.
     """
     from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+    from wafer_viewer.store.records.manifest import sign_result
 
     data = Dataset.open(dataset)
     target, number = data.result(result), 1 + max((c.number for c in comparisons_of(data).values()), default=0)
@@ -113,6 +114,7 @@ def subtract(
         write_mosaic(temporary / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
         comparison = replace(tallied.comparison(first, second), number=number)
         save_json(temporary / COMPARISON, comparison)
+    sign_result(target.path, fresh=True)
     return comparison
 
 

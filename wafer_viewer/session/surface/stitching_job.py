@@ -50,10 +50,11 @@ def bring_up_to_date(
 
     final: solve for the poses of all fields jointly; otherwise place new ones relative to the fixed others. Fields with
     an unreadable surface are omitted and reported. Raises DatasetError when no field has a surface, ComputeError when
-    the work is stopped; an incomplete mosaic is drawn again next time.
+    the work is stopped; an incomplete mosaic is drawn again next time. The final surface gets its manifest.
     """
     from wafer_viewer.reconstruct.pose_graph.incremental import freeze_unmoved_fields
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
+    from wafer_viewer.store.records.manifest import sign_result
 
     inputs = StitchingInputs.open(dataset.absolute(), result, recipe)
     tasks = _Tasks(inputs, crew or LocalRunner(), progress, should_stop)
@@ -64,6 +65,8 @@ def bring_up_to_date(
     windows = _windows_to_draw(inputs, previous, poses, moved, final)
     drawn = _draw(tasks, poses, windows)
     info = _summary(inputs, poses)
+    if final:
+        sign_result(inputs.stored.path)
     return info if drawn is None else replace(info, changed=tuple((0, box) for box in _hull_um(inputs.lattice, drawn)))
 
 

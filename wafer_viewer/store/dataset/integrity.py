@@ -19,7 +19,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.store.dataset.journal_index import INDEX
 from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
-from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, SCHEMA_VERSION, with_version
+from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, SCHEMA_VERSION, JournalReader, with_version
 from wafer_viewer.store.io.atomic_files import natural_sort_key, size
 from wafer_viewer.store.io.checksums import (
     Checksum,
@@ -35,10 +35,12 @@ from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
 from wafer_viewer.store.mosaic.statistics import facts_state
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 from wafer_viewer.store.mosaic.zarr_shards import Shards
+from wafer_viewer.store.records.manifest import MANIFEST, deviations, without_manifest
 
 Examine = Callable[[Path], Checksum]
 UNKNOWN = "Unknown files"
 STITCHED = "Stitched surfaces"
+MANIFESTS = "Manifests"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +97,11 @@ def check_files(
             states[kind.title].append(_state(path, kind.examine))
     for mosaic in sorted(dataset.glob("results/*/mosaic.zarr")):
         states[STITCHED] += _missing(mosaic)
+    for _, faults in deviations(dataset):
+        states[MANIFESTS] += faults or (Checksum.GOOD,)
+    states[MANIFESTS] += [Checksum.NONE] * without_manifest(dataset)
     order = [*dict.fromkeys(kind.title for kind in KINDS), UNKNOWN]
-    return tuple(_report(title, states[title]) for title in order if title in states)
+    return tuple(_report(title, states[title]) for title in order if states.get(title))
 
 
 def kind_of(path: str) -> FileRole | None:
@@ -150,15 +155,37 @@ def _json_state(path: Path) -> Checksum:
 
 def _journal_state(path: Path) -> Checksum:
     """Return GOOD only if every line has a checksum and the last line is complete."""
-    content = path.read_bytes()
+    content, reader = path.read_bytes(), JournalReader(path)
     *lines, rest = content.split(b"\n")
     for number, line in enumerate(lines, 1):
-        if line_state(line) is Checksum.DAMAGED:
-            raise DatasetError(f"{path} is damaged in line {number}, its checksum differs: {remedy(path)}.")
-        require_json(line, f"{path}, line {number},")
+        try:
+            _require_good_line(path, number, line)
+        except DatasetError:
+            if number < len(lines) and _is_ignored(reader, number):
+                raise DatasetError(
+                    f"{path} has damaged lines from line {number} on, of a pass that never ended, which are ignored: "
+                    "continue the scan."
+                ) from None
+            raise
+    for _ in reader.new_lines():  # the digests of the passes
+        pass
     if rest:
         raise DatasetError(f"{path} ends within a line, which is ignored: continue the scan, or {remedy(path)}.")
     return Checksum.NONE if any(line_state(line) is Checksum.NONE for line in lines) else Checksum.GOOD
+
+
+def _require_good_line(path: Path, number: int, line: bytes) -> None:
+    if line_state(line) is Checksum.DAMAGED:
+        raise DatasetError(f"{path} is damaged in line {number}, its checksum differs: {remedy(path)}.")
+    require_json(line, f"{path}, line {number},")
+
+
+def _is_ignored(reader: JournalReader, number: int) -> bool:
+    """Return whether a journal is read without its lines from a damaged one on."""
+    try:
+        return sum(1 for _ in reader.new_lines()) == number - 1
+    except DatasetError:
+        return False
 
 
 def _shard_state(path: Path) -> Checksum:
@@ -185,6 +212,7 @@ KINDS = (
     _kind("Summaries of surfaces", _RESULT + r"surface\.json", _json_state),
     _kind("Results", _RESULT + r"(findings|defects|verdict|comparison)\.json", _json_state),
     _kind("Notebooks", _RESULT + r"notebook\.json", _json_state),
+    _kind(MANIFESTS, rf"({_RESULT})?{re.escape(MANIFEST)}", None),  # compared with the files that they list
     _kind("Frames", rf"{FRAMES}/[^/]+\.tif", None),  # compared with the journal
     _kind("Pictures of results", _RESULT + r"thumbnails/\d+\.jpg", None),  # for viewing only, never measured
     _kind("Lock", r"lock", None),  # names the process that writes; the lock of the operating system counts

@@ -22,6 +22,7 @@ from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_js
 from wafer_viewer.store.mosaic.missing_shards import require_complete_once
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses, write_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+from wafer_viewer.store.records.manifest import load_record, save_record
 
 RECIPE, SETTLED, FINDINGS, COMPARISON = "recipe.json", "settled.json", "findings.json", "comparison.json"
 THUMBNAILS, MOSAIC, DRAWING = "thumbnails", "mosaic.zarr", "poses-being-drawn.npz"
@@ -106,7 +107,7 @@ class Result:
 
     def comparison(self) -> Comparison:
         """Return the comparison and its outcome. Raises DatasetError when the result is no comparison."""
-        return load_json(self.path / COMPARISON, Comparison)
+        return load_record(self.path / COMPARISON, Comparison)
 
     @property
     def mosaic_path(self) -> Path:
@@ -180,12 +181,13 @@ class Result:
         """Return the measurement results; empty if none were saved."""
         if not (self.path / FINDINGS).exists():
             return MeasurementResults()
-        return load_json(self.path / FINDINGS, MeasurementResults)
+        return load_record(self.path / FINDINGS, MeasurementResults)
 
     def save_findings(self, findings: MeasurementResults) -> None:
         """Save measurement results, replacing the earlier ones. Raises DatasetError when those are damaged."""
         require_good_json(self.path / FINDINGS)
-        self._save(FINDINGS, findings)
+        make_folder(self.path)
+        save_record(self.path / FINDINGS, findings)
 
     def thumbnail(self, number: int) -> bytes | None:
         """Return the thumbnail of a measurement result as JPEG; None if there is none."""

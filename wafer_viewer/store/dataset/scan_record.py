@@ -6,6 +6,7 @@ ended: the disk may have kept some of its lines and lost others. A damaged line 
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Generator, Iterable, Iterator
@@ -245,12 +246,13 @@ class Repaired(msgspec.Struct, frozen=True, tag="repaired"):
     shot: Shot
 
 
-class PassEnded(msgspec.Struct, frozen=True, tag="pass_ended"):
-    """End of a leg, with the counts of the pulse box."""
+class PassEnded(msgspec.Struct, frozen=True, tag="pass_ended", omit_defaults=True):
+    """End of a leg, with the counts of the pulse box; before: SHA-256 of all bytes before the line, hex."""
 
     number: int
     summary: PulseSummary
     time: str
+    before: str = ""
 
 
 class FaultNoted(msgspec.Struct, frozen=True, tag="fault"):
@@ -303,6 +305,7 @@ class JournalReader:
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._number = path, 0, 0
+        self._digest = _FileDigest(path)
         self._in_pass = False
         """Whether the frames of the lines before the next one count only once their pass has ended."""
 
@@ -328,10 +331,10 @@ class JournalReader:
                 if not (yield from self._line_by_line(text)):
                     return
                 continue
-            self._offset += len(text)
-            self._number += len(lines)
-            for line in lines:
+            for one, line in zip(text.split(b"\n"), lines, strict=False):
                 self._follow(line)
+                self._offset += len(one) + 1
+                self._number += 1
                 yield line
 
     def _line_by_line(self, text: bytes) -> Generator[Line, None, bool]:
@@ -340,17 +343,23 @@ class JournalReader:
             line = self._decode(one)
             if line is None:
                 return False
+            self._follow(line)
             self._offset += len(one) + 1
             self._number += 1
-            self._follow(line)
             yield line
         return True
 
     def _follow(self, line: Line) -> None:
+        """Note what the next line says; the end of a pass has the digest of all lines before it."""
         if isinstance(line, PassBegun):
             self._in_pass = line.provisional
         elif isinstance(line, PassEnded):
             self._in_pass = False
+            if line.before and line.before != self._digest.up_to(self._offset):
+                raise DatasetError(
+                    f"{self._path} was altered before line {self._number + 1}, which has another digest of the lines "
+                    "before it: restore it from a copy."
+                )
 
     def _new_text(self) -> bytes:
         """Return the next complete lines, of about `_BATCH_BYTES` together."""
@@ -379,6 +388,22 @@ class JournalReader:
         return not any(isinstance(line, _WAITED_FOR) for line in _readable(text.split(b"\n")))
 
 
+class _FileDigest:
+    """SHA-256 of the first bytes of a growing file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._n_bytes, self._sha256 = path, 0, hashlib.sha256()
+
+    def up_to(self, n_bytes: int) -> str:
+        """Return the digest of more bytes than before, hex."""
+        with self._path.open("rb") as file:
+            file.seek(self._n_bytes)
+            while self._n_bytes < n_bytes and (piece := file.read(min(_BATCH_BYTES, n_bytes - self._n_bytes))):
+                self._sha256.update(piece)
+                self._n_bytes += len(piece)
+        return self._sha256.hexdigest()
+
+
 def _readable(lines: Iterable[bytes]) -> Iterator[Line]:
     """Yield the lines that are not damaged."""
     for line in lines:
@@ -401,6 +426,7 @@ class JournalWriter:
                 os.truncate(path, end)
                 to_disk(path)
             self._file = path.open("ab", buffering=0)
+        self._digest = _FileDigest(path)
 
     def write(self, line: Line) -> None:
         """Append a line. Raises DatasetError when it cannot be written."""
@@ -408,6 +434,10 @@ class JournalWriter:
         with os_errors_as_dataset_errors(self._path):
             if self._file.write(text) != len(text):
                 raise DatasetError(f"{self._path} cannot be written: the disk is full: free some space.")
+
+    def sha256(self) -> str:
+        """Return the digest of all bytes, hex."""
+        return self._digest.up_to(self._path.stat().st_size)
 
     def to_disk(self) -> None:
         """Wait until all lines are on the disk."""

@@ -34,6 +34,7 @@ from wafer_viewer.store.dataset.image_files import (
 )
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import atomic_write, require_space
+from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
 Cell = tuple[int, int]
 """(row, col) as numbered in the files."""
@@ -292,6 +293,8 @@ def import_dataset(
         bits = 8 * first.dtype.itemsize
         with DatasetWriter.create(temporary, plan, job, imported_from=_source_name(srcs), bits=bits) as writer:
             _copy(stacks, writer, progress, should_stop)
+    forget_marks(target)
+    sign_scan(target)
     return Dataset.open(target)
 
 

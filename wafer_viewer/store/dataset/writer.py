@@ -48,6 +48,7 @@ from wafer_viewer.store.dataset.scan_record import (
 )
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space, to_disk
 from wafer_viewer.store.io.checksums import save_json
+from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
 _OF_NEW_FOLDER = re.compile(rf"{FRAMES}|{RESULTS}|lock|{re.escape(JOURNAL)}|{re.escape(FLAT_FIELD)}|\..*\.part")
 """Names of what is made before the record of the scan."""
@@ -124,6 +125,9 @@ class DatasetWriter:
             undo.callback(remove, folder)
             lock = Lock.take(folder)
             record = _create_files(folder, record, flat_field)
+            if not _is_part(folder):
+                forget_marks(folder)
+                sign_scan(folder)
             made = cls(folder, record, lock, on_field_complete)
             undo.pop_all()
             return made
@@ -200,7 +204,7 @@ class DatasetWriter:
         """End a leg; its frames are on the disk, and count from now on."""
         self._all_to_disk()
         shots, self._provisional = self._provisional or set[Shot](), None
-        self._note(scan_record.PassEnded(number, summary, _now()))
+        self._note(scan_record.PassEnded(number, summary, _now(), self._journal.sha256()))
         self._count(shots)
 
     @property
@@ -270,7 +274,7 @@ class DatasetWriter:
         self._note(scan_record.Finished(_now()))
 
     def close(self) -> None:
-        """Describe the frames in their files, close the journal and release the lock; idempotent.
+        """Describe the frames in their files, sign the scan and release the lock; idempotent.
 
         A description that cannot be written is left out: the frames and the journal are complete without it.
         """
@@ -280,6 +284,9 @@ class DatasetWriter:
                 self._journal.close()
                 with contextlib.suppress(DatasetError, OSError):
                     write_headers(Dataset(self.path, self.record), self._changed)
+                if not _is_part(self.path):
+                    with contextlib.suppress(DatasetError, OSError):  # the check tells what was altered
+                        sign_scan(self.path)
         finally:
             self._journal.close()
             self._lock.release()
@@ -357,6 +364,11 @@ class DatasetWriter:
             field = self._fields[field_number]
             self._files[field_number] = PageWriter(frames_file(self.path, field), self.record.pages(field))
         return self._files[field_number]
+
+
+def _is_part(folder: Path) -> bool:
+    """Return whether a folder gets its own name when it is complete."""
+    return folder.name.startswith(".")
 
 
 def _part(path: Path) -> Path:

@@ -13,8 +13,9 @@ from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspectio
 from wafer_viewer.model.job import Notebook
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors, remove, write_text
-from wafer_viewer.store.io.checksums import load_json, require_good_json, save_json
+from wafer_viewer.store.io.checksums import require_good_json
 from wafer_viewer.store.io.guarded_reading import read_content
+from wafer_viewer.store.records.manifest import load_record, save_record
 
 FOLDER, ENDING = "recipes", ".defects.toml"
 
@@ -147,13 +148,13 @@ WORDS = ("judgement", "judged_kind", "note", "judged_by", "judged_at")
 def read_inspection(result: Path) -> Inspection | None:
     """Read the inspection of a result; None if there is none. Raises DatasetError when it is unreadable."""
     path = result / DEFECTS
-    return load_json(path, Inspection) if path.exists() else None
+    return load_record(path, Inspection) if path.exists() else None
 
 
 def write_inspection(result: Path, inspection: Inspection) -> None:
     """Save an inspection atomically, replacing an earlier one."""
     make_folder(result)
-    save_json(result / DEFECTS, inspection)
+    save_record(result / DEFECTS, inspection, anew=True)
 
 
 def carry_over(before: Inspection, after: Inspection) -> Inspection:
@@ -212,11 +213,11 @@ NOTEBOOK = "notebook.json"
 def read_notebook(result: Path) -> Notebook:
     """Read the notebook of a result; an empty one if there is none. Raises DatasetError when it is unreadable."""
     path = result / NOTEBOOK
-    return load_json(path, Notebook) if path.exists() else Notebook()
+    return load_record(path, Notebook) if path.exists() else Notebook()
 
 
 def write_notebook(result: Path, notebook: Notebook) -> None:
     """Save a notebook, replacing the earlier one. Raises DatasetError when that is damaged."""
     make_folder(result)
     require_good_json(result / NOTEBOOK)
-    save_json(result / NOTEBOOK, notebook)
+    save_record(result / NOTEBOOK, notebook)
