@@ -22,11 +22,11 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, FrameStorage, OpenDataset, SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
-from wafer_viewer.store.io.checksums import load_json, sealed_text, verified_text
+from wafer_viewer.store.io.checksums import sealed_text, verified_text
 from wafer_viewer.store.mosaic.layout import SURFACE
 from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
-from wafer_viewer.store.records.manifest import require_as_saved, save_record_text
+from wafer_viewer.store.records.manifest import load_record, require_as_saved, save_record_text
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -290,10 +290,10 @@ def _entry(path: Path) -> DatasetEntry | None:
 
 
 def _verdict(dataset: Dataset) -> str:
-    """Return the word of the stored verdict on the newest result; empty without one, and for one that is damaged."""
+    """Return the word of the stored verdict on the newest result; empty without one, and for one that was altered."""
     path = dataset.result(_newest_result(dataset)).path / VERDICT
     try:
-        return load_json(path, WaferVerdict).word if path.exists() else ""
+        return load_record(path, WaferVerdict, trusted=True).word if path.exists() else ""
     except WaferViewerError:
         return ""
 
