@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import go_to, put, text_field
 from wafer_viewer.gui.shell.left_panel import MANY_DATASETS
 from wafer_viewer.session.state.snapshot import DatasetEntry
+
+pytestmark = pytest.mark.browser
 
 
 def entries(n: int) -> tuple[DatasetEntry, ...]:

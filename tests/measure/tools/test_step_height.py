@@ -91,7 +91,7 @@ def test_whole_frames_are_less_certain_than_peaks_between_them():
     assert abs(step.height.value_um - 8.0) < 1e-6
 
 
-@pytest.mark.parametrize(("width_um", "per_step"), [(8.0, 0.003), (6.4, 0.006), (4.8, 0.0295), (1.0, 0.045)])
+@pytest.mark.parametrize(("width_um", "per_step"), [(8.0, 0.003), (6.4, 0.006), (4.8, 0.0441), (1.0, 0.12)])
 def test_coarser_steps_in_depths_of_field_are_less_certain(width_um, per_step):
     z = np.where(np.arange(400) < 200, 8.0, 0.0) * np.ones((200, 1))
     recipe = Recipe(focus_width_um=width_um)
