@@ -30,8 +30,11 @@ from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.mosaic.layout import MosaicHeader
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
-OPEN_SURFACES = 1024
-"""Maximum number of memory-mapped surfaces; a growing mosaic needs all of them at each update."""
+OPEN_SURFACES = 600
+"""Maximum number of memory-mapped surfaces; a growing mosaic needs all of them at each update.
+
+Each takes a file descriptor, of which a process has 1024 on most systems.
+"""
 SAME_PIXEL_FRACTION = 1e-6
 TIMES_FROM = 2**32
 """Marks of surfaces from here on are times in ns, as earlier versions had them; others are checksums."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zipfile
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
 
@@ -36,6 +38,11 @@ class Archive:
     def __contains__(self, name: str) -> bool:
         return name in self._members
 
+    @cached_property
+    def _whole(self) -> NDArray[np.uint8]:
+        """Bytes of the file; all its arrays share one mapping, for each mapping takes a file descriptor."""
+        return np.asarray(np.memmap(self._path, np.uint8, "c"))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the arrays, in the order of the file."""
@@ -54,7 +61,8 @@ class Archive:
             raise ValueError(f"{name} ends after the file")
         if 0 in shape:
             return np.empty(shape, dtype)
-        return np.asarray(np.memmap(self._path, dtype, "c", self._file.tell(), shape))
+        values = self._whole[self._file.tell() :][: dtype.itemsize * math.prod(shape)]
+        return values.view(dtype).reshape(shape)
 
     def array(self, name: str) -> NDArray[Any]:
         """Read an array into memory; the checksum of the archive's member is verified."""
