@@ -118,7 +118,7 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     recipe = replace(recipe, window=best_window(frames, recipe) if recipe.window == "auto" else recipe.window)
     search = search_of(recipe, n_frames, frames.step_um, frames.scale)
     resolution_um = max(1.0, width.um / frames.step_um / SUITABLE_WIDTH) * frames.step_um
-    gate = gate_for(recipe, search, n_frames, resolution_um)
+    gate = gate_for(recipe, search, n_frames, resolution_um, _gap_share(recipe, search, frames.step_um))
     recipe = replace(recipe, min_confidence=gate.min_confidence)
     maps = gated_tiles(frames, search, gate) if recipe.heights_have_auto else []
     recipe = settle_cleaning(maps, recipe, resolution_um)
@@ -187,10 +187,16 @@ def search_of(recipe: Recipe, n_frames: int, step_um: float, scale: float = 1.0)
     return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, floored, camera, sigma=sigma)
 
 
+def _gap_share(recipe: Recipe, search: Search, step_um: float) -> float:
+    """Return the gap of a search in units of that which a settled focus width asks for: whole frames may be fewer."""
+    return search.gap * step_um / (GAP_WIDTHS * float(recipe.focus_width_um))
+
+
 def _coverage(frames: Frames, recipe: Recipe) -> float:
     """Return the fraction of pixels that pass the gate, ignoring clipping."""
     search = search_of(recipe, frames.n_frames, frames.step_um, frames.scale)
-    gate = gate_for(replace(recipe, clipped_fraction=1.0), search, frames.n_frames, np.inf)
+    gap_share = _gap_share(recipe, search, frames.step_um)
+    gate = gate_for(replace(recipe, clipped_fraction=1.0), search, frames.n_frames, np.inf, gap_share)
     return float(np.mean([np.mean(np.isfinite(z_um)) for z_um in gated_tiles(frames, search, gate)]))
 
 

@@ -82,17 +82,20 @@ class GateTest:
         return self.score <= self.limit if self.at_most else self.score > self.limit
 
 
-def gate_for(recipe: Recipe, search: Search, n_frames: int, resolution_um: float) -> Gate:
+def gate_for(recipe: Recipe, search: Search, n_frames: int, resolution_um: float, gap_share: float = 1.0) -> Gate:
     """Return the gate of a recipe for a search in `n_frames` frames, with the automatic confidence where it is `auto`.
 
-    Windows are compared only in stacks that are long enough, and flanks are judged only where the sweep reaches them.
+    gap_share: the gap of the search, whole frames, in units of two focus widths. Nearer to the peak a curve has fallen
+    less, about as the square of the distance. Windows are compared only in stacks that are long enough, and flanks are
+    judged only where the sweep reaches them.
     """
     noise = noise_scores(search, n_frames)
     confidence = auto_min_confidence(noise) if recipe.min_confidence == "auto" else recipe.min_confidence
     compare = recipe.compare_windows and n_frames >= LEAST_FRAMES
     tolerance_um = WINDOW_STEPS * resolution_um if compare else np.inf
     by_power = MIN_FALL_SHARE_PER_POWER * focus_measures()[search.measure].power
-    min_fall_share = max(MIN_FALL_SHARE, by_power) if search.gap < largest_gap(n_frames) else -np.inf
+    there = min(1.0, gap_share) ** 2
+    min_fall_share = there * max(MIN_FALL_SHARE, by_power) if search.gap < largest_gap(n_frames) else -np.inf
     return gate_of(noise, confidence, recipe.clipped_fraction, search.window, tolerance_um, min_fall_share)
 
 
