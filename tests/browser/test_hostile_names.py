@@ -75,3 +75,4 @@ def test_the_same_names_without_escaping_run(serve: Callable[[FakeSession], Page
     page = serve(FakeSession(hostile(fake.measured())))
     go_to(page, "Measure")
     page.wait_for_function("() => window.wvRan === 1")
+    assert page.evaluate("() => window.wvRan") == 1

@@ -104,7 +104,7 @@ def test_an_entity_in_another_encoding_is_refused_too(x3p) -> None:
     def hide(xml: bytes) -> bytes:
         return with_doctype('<!ENTITY x "SUR">')(xml).replace(b"UTF-8", b"UTF-16", 1).decode().encode("utf-16")
 
-    refused(lambda: read_surface(x3p(hide)))
+    assert "has a document type" in refused(lambda: read_surface(x3p(hide)))
 
 
 @pytest.mark.parametrize("name", ["../evil", "/tmp/evil", "..\\evil", "link"])

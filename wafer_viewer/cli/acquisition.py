@@ -37,6 +37,7 @@ from wafer_viewer.cli.arguments import (
     require_sources,
 )
 from wafer_viewer.cli.output import (
+    audit,
     plan_facts,
     print_check,
     print_cluster,
@@ -63,7 +64,6 @@ from wafer_viewer.cli.output import (
 )
 from wafer_viewer.model.errors import MotionStopped, PlanError, RigError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.core.audit_trail import record
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
@@ -258,7 +258,7 @@ def scan(
     if ended.error is not None:
         raise RigError(ended.error)
     print(f"{out}: {ended.words}")
-    record(out.absolute().parent, "Scan made", out.name, ended.words, by=operator or "")
+    audit(out.absolute().parent, "Scan made", out.name, ended.words, by=operator or "")
     if ended.stopped:
         return INTERRUPTED
     status = _judged(out, job) if job.released else 0
@@ -312,7 +312,7 @@ def import_(
             says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z)
             import_surface(src[0], out, says, progress=tell)
         print(f"{out}: a surface without frames")
-        record(out.absolute().parent, "Surface imported", out.name, f"path: {src[0].name}")
+        audit(out.absolute().parent, "Surface imported", out.name, f"path: {src[0].name}")
         return
     with progress("Import") as tell:
         dataset = import_dataset(
@@ -328,7 +328,7 @@ def import_(
         )
     exposures = f" in {dataset.n_exposures} exposures" if dataset.n_exposures > 1 else ""
     print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames{exposures}")
-    record(out.absolute().parent, "Images imported", out.name, f"paths: {', '.join(path.name for path in src)}")
+    audit(out.absolute().parent, "Images imported", out.name, f"paths: {', '.join(path.name for path in src)}")
 
 
 def check(dataset: DatasetFolder) -> int:
@@ -544,7 +544,7 @@ def release(
     if not dry_run:
         path = write_released(folder, job)
         print(path)
-        record(folder, "Job released", path.name)
+        audit(folder, "Job released", path.name)
 
 
 def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:

@@ -12,7 +12,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.arguments import File, Flag, Text, Um, with_flags
-from wafer_viewer.cli.output import print_json, progress
+from wafer_viewer.cli.output import audit, print_json, progress
 from wafer_viewer.model.acquisition.characteristics import (
     FOCUS_RANGE_UM,
     KINDS,
@@ -109,7 +109,6 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
         why: A remark.
     """
     from wafer_viewer.session.calibration.records import linearity_result
-    from wafer_viewer.session.core.audit_trail import record
     from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
     from wafer_viewer.session.gauge.signed_checks import trusted_checks
     from wafer_viewer.session.gauge.z_scale_correction import in_force, last_check
@@ -122,7 +121,7 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
     facts = CalibratedRigFacts(name, checks[-1].check.simulated, in_force(folder, checks[-1]))
     path = None if by is None else accept(folder, facts, result, by, why)
     if path is not None:
-        record(folder, "Calibration accepted", path.name, why, by=by or "")
+        audit(folder, "Calibration accepted", path.name, why, by=by or "")
     _print(result, path)
 
 

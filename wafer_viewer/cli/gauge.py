@@ -9,7 +9,7 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.arguments import File, Rectangle, Sources, Text
-from wafer_viewer.cli.output import print_json
+from wafer_viewer.cli.output import audit, print_json
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import GaugeRR, GaugeTerms, Method
 from wafer_viewer.model.region import Region
@@ -91,14 +91,13 @@ def calibrate_z(folder: DataFolder, by: Text = None, why: str = "", serial: Seri
         why: A remark.
         serial: The newest check with these blocks.
     """
-    from wafer_viewer.session.core.audit_trail import record
     from wafer_viewer.session.gauge.z_scale_correction import correct, in_force, last_check, offered
 
     check = last_check(folder, serial)
     before = in_force(folder, check)
     found = offered(check, before) if by is None else correct(folder, check, before, by, why)
     if by is not None:
-        record(folder, "Scale of z corrected", check.rig, why, by=by)
+        audit(folder, "Scale of z corrected", check.rig, why, by=by)
     facts = {"recorded": by is not None, "rig": check.rig, "before": msgspec.to_builtins(before)}
     print_json({**facts, **msgspec.to_builtins(found)})
 

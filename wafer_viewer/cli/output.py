@@ -15,6 +15,7 @@ from rich.text import Text
 
 from wafer_viewer.draw.number_format import value_and_u
 from wafer_viewer.model.acquisition.plan import Price, ScanPlan
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.feature import limits_text
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.store.io.atomic_files import size
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.conformance import ConformanceReport, ConformanceResult
     from wafer_viewer.model.acquisition.exposure import FoundExposure
     from wafer_viewer.model.acquisition.positioners import PositionerState
-    from wafer_viewer.model.audit import AuditEntry
+    from wafer_viewer.model.audit import Action, AuditEntry
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
@@ -218,6 +219,16 @@ def print_audit(entries: Iterable[AuditEntry]) -> None:
         words = (at, entry.by, entry.through, entry.action, entry.subject, entry.detail)
         table.add_row(*(Text(word) for word in words))
     Console(soft_wrap=True).print(table)
+
+
+def audit(folder: Path, action: Action, subject: str, detail: str = "", *, by: str = "") -> None:
+    """Record what a command did in the audit log of a data folder; warn when it cannot be: the work is done."""
+    from wafer_viewer.session.core.audit_trail import NOT_WRITTEN, record
+
+    try:
+        record(folder, action, subject, detail, by=by)
+    except DatasetError as fault:
+        warn(f"{NOT_WRITTEN}, {action}, {subject}: {fault}")
 
 
 def print_lines(lines: Iterable[str]) -> None:

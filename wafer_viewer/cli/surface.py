@@ -22,7 +22,7 @@ from wafer_viewer.cli.arguments import (
     Um,
     require_sources,
 )
-from wafer_viewer.cli.output import print_json, print_surface, progress, warn
+from wafer_viewer.cli.output import audit, print_json, print_surface, progress, warn
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import with_suffixes
 from wafer_viewer.model.report import PARTS, Part, ReportOrder
@@ -103,13 +103,12 @@ def stitch(
         scheduler: A dask cluster that does the work, tls://HOST:PORT.
         workers: Processes of this machine that do the work; 1 is this one alone. As many as help by default.
     """
-    from wafer_viewer.session.core.audit_trail import record
     from wafer_viewer.session.surface.headless import LocalOrCluster, make_surface, write_poses_of
 
     hire = LocalOrCluster(scheduler, workers)
     with progress("Stitching") as tell:
         info = make_surface(dataset, recipe, result, again=again, tell=tell, warn=warn, hire=hire)
-    record(dataset.absolute().parent, "Surface made", dataset.name, f"result: {result}")
+    audit(dataset.absolute().parent, "Surface made", dataset.name, f"result: {result}")
     if poses is not None:
         write_poses_of(dataset, result, poses)
     print_json({name: value for name, value in msgspec.to_builtins(info).items() if name not in OF_THE_PAGE})

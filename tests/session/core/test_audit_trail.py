@@ -140,3 +140,15 @@ def test_each_action_of_the_log_is_that_of_a_command_or_of_the_command_line() ->
     elsewhere = source.replace(Path(__file__).parents[3].joinpath("wafer_viewer/model/audit.py").read_text(), "")
     assert [action for action in get_args(Action) if f'"{action}"' not in elsewhere] == []
     assert AuditEntry(at="", by="", through="Python", action="of a later version").action
+
+
+def test_a_command_whose_action_cannot_be_recorded_has_done_its_work_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from wafer_viewer.cli.output import audit
+
+    audit(tmp_path, "Surface made", "w1.wafer")
+    log = tmp_path / AUDIT_LOG
+    log.write_bytes(log.read_bytes().replace(b"w1", b"w2"))
+    audit(tmp_path, "Surface made", "w3.wafer")
+    assert f"{NOT_WRITTEN}, Surface made, w3.wafer: {log}" in capsys.readouterr().err
