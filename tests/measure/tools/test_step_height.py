@@ -8,9 +8,11 @@ from hypothesis import strategies as st
 from tests.support.surfaces import STEP_UM, calibration, gauge_blocks, surface_of
 from wafer_viewer.measure.base import height_samples
 from wafer_viewer.measure.tools.step_height import step_height
+from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.stitching import stitch
@@ -107,6 +109,22 @@ def test_faces_tilted_against_each_other_are_reported():
     # The lower face is 0.19 um higher under its own middle than at the joint.
     assert step.notes[0] == "Levelled to the upper face: 399.690 um, to the lower: 400.070 um."
     assert step.notes[1] == "Both faces extended to the middle between the regions, (0.0, 0.0) um: 399.880 um."
+
+
+@pytest.mark.parametrize(("objective", "reach"), [("", 116.7), ("20x/0.42", 185.2)])
+@pytest.mark.parametrize(("regions", "which"), [((UPPER, LOWER), "lower"), ((LOWER, UPPER), "upper")])
+def test_a_region_in_the_shade_of_the_wall_is_told(objective, reach, regions, which):
+    blocks = gauge_blocks(1, calibration=replace(calibration(), setup=OpticalSetup(objective=objective)))
+    (note,) = (n for n in step_height(blocks, *regions).notes if "aperture" in n)
+    assert note == (
+        f"The {which} region begins at most 80.5 um from the wall, which hides part of the aperture out to {reach} um: "
+        "heights there may be off by more than U. Move the region further away."
+    )
+
+
+def test_a_region_out_of_the_shade_is_not_told_of():
+    far = Region.rectangle(90, -50, 150, 50)
+    assert not any("aperture" in note for note in step_height(gauge_blocks(1), UPPER, far).notes)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, height_window, layer_of
 from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_plane
+from wafer_viewer.model.acquisition.calibration import shaded_um
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
@@ -55,8 +56,6 @@ class FaceSearchParameters:
         Number of least-squares fits to the inliers of the best of them.
     lags : int
         The lag for the noise estimate is the surface's width divided by this.
-    shade : float
-        Shaded distance at the foot of a wall relative to its height: tangent for an aperture of 0.28.
     rim : float
         Distance of the upper square from its face's rim, relative to the shaded distance.
     tight : float
@@ -85,7 +84,6 @@ class FaceSearchParameters:
     tries: int = 1000
     refits: int = 2
     lags: int = 16
-    shade: float = 0.3
     rim: float = 0.25
     tight: float = 0.9
     least_window_px: int = 10
@@ -133,8 +131,9 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
     """Find a square on each of the two parallel faces of a surface.
 
     Planes are searched in a thinned cloud of the measured points (RANSAC, Open3D). A square is placed where it is
-    surrounded by its own face: away from the border of the scan, and away from the joint by the distance that a wall of
-    that height shades. The two squares are close to each other, centred along the joint.
+    surrounded by its own face: away from the border of the scan, and away from the joint by the distance over which a
+    wall of that height hides part of the objective's aperture. The two squares are close to each other, centred along
+    the joint.
 
     Parameters
     ----------
@@ -169,7 +168,8 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
     faces = _visible_faces(surface, layer_of(surface.provenance.recipe, layer))
     middle = float(faces.x_um.mean()), float(faces.y_um.mean())
     low, high = sorted(_two_parallel(faces), key=lambda plane: plane.fitted.at(*middle))
-    shade_um = FACE_SEARCH.shade * float(high.fitted.at(*middle) - low.fitted.at(*middle))
+    high_um, low_um = (plane.fitted.at(*middle) for plane in (high, low))
+    shade_um = shaded_um(float(high_um - low_um), surface.provenance.calibration)
     above_um, below_um = _room_um(faces, high, low, FACE_SEARCH.rim * shade_um), _room_um(faces, low, high, shade_um)
     room_px = FACE_SEARCH.tight * 2 * float(min(above_um.max(), below_um.max())) / surface.pixel_um
     side_px = size_px if room_px >= size_px else FACE_SEARCH.least_window_px * (room_px // FACE_SEARCH.least_window_px)

@@ -43,6 +43,7 @@ from wafer_viewer.measure.base.plane_faces import (
     face_of,
     require_measured,
 )
+from wafer_viewer.model.acquisition.calibration import Calibration, shaded_um
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.model.measurement.tool_options import Conditions, StepDefinition, StepOptions
@@ -74,12 +75,28 @@ class StepFaces:
 
         Where regions of both faces alternate there is no such place; then the midpoint of their centres.
         """
+        start, along, (last_low, first_high) = self._facing_um()
+        middle_um = last_low + first_high if last_low <= first_high else float(np.hypot(*self.apart_um))
+        return start + along * middle_um / 2
+
+    @property
+    def between_um(self) -> float:
+        """Distance between the facing borders of the regions; negative where regions of both faces alternate."""
+        _, _, (last_low, first_high) = self._facing_um()
+        return first_high - last_low
+
+    def _facing_um(self) -> tuple[Floats, Floats, tuple[float, float]]:
+        """Centre of the lower face, direction to the upper one, and where they end towards each other on that line."""
         start, direction = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
-        length = float(np.hypot(*direction))
-        along = direction / length if length > 0 else direction
-        last_low = float(_along(self.low, start, along).max())
-        first_high = float(_along(self.high, start, along).min())
-        return start + along * ((last_low + first_high if last_low <= first_high else length) / 2)
+        along = direction / max(float(np.hypot(*direction)), 1e-9)
+        return (
+            start,
+            along,
+            (
+                float(_along(self.low, start, along).max()),
+                float(_along(self.high, start, along).min()),
+            ),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -341,7 +358,8 @@ def step_height(
     faces = StepFaces(face_of(reading, level, *above), face_of(reading, level, *below))
     h = gradients(faces, definition)
     budget = _budget(reading, level, faces, h, definition, conditions)
-    notes = *_other_definitions(faces), *dict.fromkeys((*faces.high.notes, *faces.low.notes))
+    shade = _in_the_shade(faces, h.value(faces), reading.surface.provenance.calibration)
+    notes = *_other_definitions(faces), *shade, *dict.fromkeys((*faces.high.notes, *faces.low.notes))
     return StepHeight(
         **reading.result_fields(name, level, *notes, *reading.not_in_budget(own=True)),
         upper=uppers[0],
@@ -441,6 +459,18 @@ def _other_definitions(faces: StepFaces) -> tuple[str, ...]:
     return (
         f"Levelled to the upper face: {over_upper:.3f} um, to the lower: {over_lower:.3f} um.",
         f"Both faces extended to the middle between the regions, {place}: {at_joint:.3f} um.",
+    )
+
+
+def _in_the_shade(faces: StepFaces, height_um: float, calibration: Calibration | None) -> tuple[str, ...]:
+    """Return a note where the wall between the faces hides part of the aperture from the lower region."""
+    reach_um, between_um = shaded_um(height_um, calibration), faces.between_um
+    if not 0 <= between_um < reach_um:
+        return ()
+    lower = "lower" if height_um > 0 else "upper"
+    return (
+        f"The {lower} region begins at most {_tenths(between_um)} um from the wall, which hides part of the aperture "
+        f"out to {_tenths(reach_um)} um: heights there may be off by more than U. Move the region further away.",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import re
 from typing import ClassVar
 
@@ -80,6 +81,9 @@ class Calibration(Spec, frozen=True, kw_only=True):
 WAVELENGTH_UM = 0.55
 """Green light, the default."""
 
+_USUAL_APERTURE, _LARGEST_APERTURE = 0.28, 0.95
+"""Numerical apertures in air: of the 10x objective of the paper, and of the strongest ones."""
+
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _ENGRAVED = re.compile(r"\d\s*[xX×]?\s*/\s*([01]\.\d+)")
 
@@ -93,3 +97,12 @@ def engraved_aperture(objective: str) -> float | None:
     """Return the numerical aperture engraved in an objective's name, as in ``10x/0.28``, or None."""
     found = _ENGRAVED.search(objective)
     return float(found.group(1)) if found is not None else None
+
+
+def shaded_um(height_um: float, calibration: Calibration | None) -> float:
+    """Return how far from its foot a wall hides part of the aperture, in um.
+
+    The aperture is that engraved in the objective of the calibration, 0.28 where it is unknown.
+    """
+    aperture = (calibration and engraved_aperture(calibration.setup.objective)) or _USUAL_APERTURE
+    return abs(height_um) * math.tan(math.asin(min(aperture, _LARGEST_APERTURE)))
