@@ -185,12 +185,18 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
         limit=float(edges.min_fall[row, col]),
         unit=POWERS,
         passed=bool(edges.along[row, col]),
-        note=_BELOW_LINE if edges.below_line[row, col] else "",
+        note=_along_note(edges, row, col),
     )
     return outline_verdict, along
 
 
-_BELOW_LINE = "Below a bright line, as of a polished rim, a height counts only where it does."
+def _along_note(edges: BleedingEdges, row: int, col: int) -> str:
+    """Return what follows where the focus along the wall does not peak."""
+    if edges.below_line[row, col]:
+        return "Below a bright line, as of a polished rim, a height counts only where it does."
+    if edges.unconfirmed[row, col]:
+        return "Where it does not, the focus may be that of the outline of the wall."
+    return ""
 
 
 def _wall_side_note(edges: BleedingEdges, row: int, col: int) -> str:

@@ -203,9 +203,10 @@ def test_a_die_without_texture_does_not_get_the_height_of_the_trench_beside_it(s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [41, 47, 50])
+@pytest.mark.parametrize("seed", [41, 47, 50, 263])
 def test_few_heights_are_false_where_walls_narrow_the_aperture_or_the_border_hides_them(seed: int) -> None:
-    """The slope of a polished rim, a specular floor deep between walls, and a wall in the last column of the frame."""
+    """The slope of a polished rim, a specular floor deep between walls, a wall in the last column of the frame, and
+    ground beside the foot of a polished rim."""
     scene = drawn_scene(seed)
     found = quality(reconstruct(scene.stack, threads=1).to_measure(), scene.truth_um, scene.limit_um)
     assert not found.false_fraction > 0.03  # nor where nothing is measured
@@ -214,7 +215,7 @@ def test_few_heights_are_false_where_walls_narrow_the_aperture_or_the_border_hid
 def test_below_a_line_a_height_counts_where_the_focus_along_the_wall_confirms_it() -> None:
     side = np.full((1, 30), EdgeSide.DARK, np.uint8)
     height, origin = np.zeros(side.shape, np.float32), np.full(side.shape, Origin.MEASURED, np.uint8)
-    fall, below_line = np.zeros_like(height), np.zeros(side.shape, bool)
+    fall, below_line = np.full_like(height, np.nan), np.zeros(side.shape, bool)  # NaN: not searched
     below_line[:, 10:], fall[:, 20:] = True, 2.0
     edges = BleedingEdges(side, height, height + 1, fall, np.ones_like(height), below_line, tolerance_um=3.0)
     z_um, found = judge_edges(height, origin, edges)
@@ -222,6 +223,20 @@ def test_below_a_line_a_height_counts_where_the_focus_along_the_wall_confirms_it
     assert (found[:, 10:20] == Origin.BLEEDING_EDGE).all()
     assert (found[:, 20:] == Origin.MEASURED).all()
     assert (z_um[:, 20:] == 1).all()
+
+
+def test_on_the_dark_side_a_height_that_shows_across_the_wall_only_is_its_outlines() -> None:
+    side = np.full((1, 30), EdgeSide.DARK, np.uint8)
+    side[:, 20:] = EdgeSide.BRIGHT
+    height, origin = np.zeros(side.shape, np.float32), np.full(side.shape, Origin.MEASURED, np.uint8)
+    fall = np.full_like(height, np.nan)
+    fall[:, 10:20] = 0.5
+    below_line = np.zeros(side.shape, bool)
+    edges = BleedingEdges(side, height, height, fall, np.ones_like(height), below_line, tolerance_um=3.0)
+    _, found = judge_edges(height, origin, edges)
+    assert (found[:, 10:20] == Origin.BLEEDING_EDGE).all()
+    assert (found[:, :10] == Origin.MEASURED).all()
+    assert (found[:, 20:] == Origin.MEASURED).all()
 
 
 @pytest.fixture(scope="module")

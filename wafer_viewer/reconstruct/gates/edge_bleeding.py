@@ -11,7 +11,8 @@ A nearby height limits the search to about a dozen frames, in tiles of a few tho
 
 Walls are silhouettes that persist through many frames. Near them a height is accepted only where it agrees with the
 surface on the same side further from the wall. On the dark side the focus is also measured along the wall, which is
-insensitive to light that bleeds across it; this recovers the rims of dies.
+insensitive to light that bleeds across it; this recovers the rims of dies, and a height that it does not confirm is
+that of the wall's outline, which the focus window sees on both sides.
 
 A polished rim shows as a bright line. Between the line and the wall lies the dark slope of the die, without texture,
 and the focus window there sees the texture of the lower ground beyond. On ground below a line a height is therefore
@@ -363,6 +364,14 @@ class BleedingEdges:
         return np.abs(z_um - self.expected_um) < self.tolerance_um
 
     @property
+    def unconfirmed(self) -> NDArray[np.bool_]:
+        """Mask of pixels on the dark side whose focus along the wall has no peak near the expected height.
+
+        Their focus changes across the wall only: it is that of the wall's outline, or of bleeding light.
+        """
+        return (self.side == EdgeSide.DARK) & (self.fall <= self.min_fall)
+
+    @property
     def along(self) -> NDArray[np.bool_]:
         """Mask of pixels whose focus along the wall gives an accepted height, bool [row, col].
 
@@ -442,7 +451,7 @@ def find_edges(
     expected_um = _expected(sides.side, dark_um, bright_um)
     wall_um = doubled(frames.z_um.astype(np.float32)[band.frame], frames.shape)
     below_line = _beside_lines(sides.side, how.reach_px) & (expected_um < wall_um - how.tolerance_um)
-    z_um, fall = np.full(frames.shape, np.nan, np.float32), np.zeros(frames.shape, np.float32)
+    z_um, fall = (np.full(frames.shape, np.nan, np.float32) for _ in range(2))
     min_fall = np.zeros(frames.shape, np.float32)
     fine = replace(how, window=min(how.window, LINE_WINDOW_PX))
     searched = (sides.side == EdgeSide.DARK) & (origin != Origin.CLIPPED) & (how.mode == "rims")
@@ -471,12 +480,14 @@ def judge_edges(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return the heights and origins of a field corrected at its edges.
 
-    Near a wall a measured height is retained where it agrees with its side, unless it lies below a line, and is marked
-    as bleeding otherwise; where the focus along the wall gives a height it is used, whatever the gates decided.
+    Near a wall a measured height is retained where it agrees with its side and the focus along the wall confirms it,
+    unless it lies below a line, and is marked as bleeding otherwise; where the focus along the wall gives a height it
+    is used, whatever the gates decided.
     """
     along = edges.along
     near_edge = edges.side != EdgeSide.AWAY
-    bleeding = near_edge & (origin == Origin.MEASURED) & ~(edges.agrees(z_um) & ~edges.below_line)
+    retained = edges.agrees(z_um) & ~edges.unconfirmed & ~edges.below_line
+    bleeding = near_edge & (origin == Origin.MEASURED) & ~retained
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
 
