@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.draw.surface.display_style import eight_bit
+from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import VerdictSection, awaited
 from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
@@ -21,8 +22,10 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, command_button, in_a_row, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.session.files.frame_check import damage_sentence
 from wafer_viewer.session.state.snapshot import LatestFrame, OpenDataset, ScanProgress, Snapshot
 
+RETAKE, NOT_RETAKEN = "Take damaged frames again…", "The frames were not taken again"
 FRAME_EVERY_S = 0.18
 FRAME_WIDTH_PX = 720
 
@@ -93,6 +96,7 @@ class AcquirePanel:
         self._frame_words = HtmlBlock(gui)
         self._why = HtmlBlock(gui)
         self._go_on = command_button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
+        self._retake = command_button(gui, RETAKE, viser.Icon.REFRESH, guarded(page, NOT_RETAKEN)(self.retake))
         look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         look_small = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         self._look, self._look_small = look, look_small
@@ -100,13 +104,27 @@ class AcquirePanel:
         self._again = button(gui, "Scan it again", viser.Icon.REPEAT, lambda _: page.change(step="plan"))
         outlined(gui, look_small, 36)
         outlined(gui, self._again, 36)
-        for handle in (self._go_on, look, self._next):
+        for handle in (self._go_on, self._retake, look, self._next):
             leading(gui, handle)
 
     def _continue(self) -> Callable[..., None]:
         page = self._page
         return guarded(page, "The scan was not continued")(
             lambda _: page.ask("The scan was not continued", page.session.continue_scan())
+        )
+
+    def retake(self, _: object = None) -> None:
+        """Ask whether the sample lies on the stage as it did, and take the damaged frames again."""
+        page, data = self._page, self._page.session.snapshot.dataset
+        if data is None:
+            return
+        below = f"{damage_sentence(data.damaged)} {_sample(data)} must lie on the stage as it did for the scan."
+        dialog = Dialog(page, "Take damaged frames again?", below)
+        dialog.answers(
+            "Take them again",
+            viser.Icon.REFRESH,
+            lambda: page.ask(NOT_RETAKEN, page.session.continue_scan(), lambda _: page.change(step="acquire")),
+            NOT_RETAKEN,
         )
 
     def _next_wafer(self) -> Callable[..., None]:
@@ -125,16 +143,18 @@ class AcquirePanel:
         set_prop(self._stop, "disabled", snapshot.rig.state == "stopping")
         data = snapshot.dataset
         unfinished = data is not None and not data.finished and not running
-        why = _why_not(snapshot) if unfinished else None
-        set_prop(self._go_on, "visible", unfinished)
-        set_prop(self._go_on, "disabled", why is not None)
+        damaged = _is_damaged(snapshot)
+        why = _why_not(snapshot) if unfinished else why_not_retaken(snapshot) if damaged else None
+        for handle, visible in ((self._go_on, unfinished), (self._retake, damaged)):
+            set_prop(handle, "visible", visible)
+            set_prop(handle, "disabled", why is not None)
         self._why.show(
             Markup('<div class="wv-why">Not yet: {}</div>').format(html.with_micro_sign(why)) if why else Markup()
         )
         done = not running and not unfinished and snapshot.surface is not None
-        onward = done and _released(snapshot) and not awaited(snapshot)
-        set_prop(self._look, "visible", done and not onward)
-        set_prop(self._look_small, "visible", onward)
+        onward = done and _released(snapshot) and not awaited(snapshot) and not damaged
+        set_prop(self._look, "visible", done and not onward and not damaged)
+        set_prop(self._look_small, "visible", onward or (done and damaged))
         set_prop(self._next, "visible", onward)
         verdict = snapshot.operating.verdict
         set_prop(self._again, "visible", onward and verdict is not None and verdict.word == "inconclusive")
@@ -153,6 +173,30 @@ class AcquirePanel:
         if frame is not self._frame_shown and time.monotonic() - self._frame_at > FRAME_EVERY_S:
             self._frame_shown, self._frame_at = frame, time.monotonic()
             self._image.image = picture(frame.image)
+
+
+def _is_damaged(snapshot: Snapshot) -> bool:
+    """Return whether frames of a finished scan were found damaged; those of an unfinished one are taken with it."""
+    data = snapshot.dataset
+    return data is not None and bool(data.damaged) and data.finished and not snapshot.scanning
+
+
+def why_not_retaken(snapshot: Snapshot) -> str | None:
+    """Return why damaged frames cannot be taken again now, or None."""
+    data = snapshot.dataset
+    if data is None or not data.damaged:
+        return "no frame of the open dataset was found damaged: Check the frames looks at all."
+    if not snapshot.is_of_this_rig:
+        return "this rig did not take the dataset: restore the files from a copy."
+    return _why_not(snapshot)
+
+
+def _sample(data: OpenDataset) -> str:
+    """Return the name of the sample of a dataset as the beginning of a sentence."""
+    sample = data.job.sample
+    names = [f"wafer {sample.wafer_id}" if sample.wafer_id else "", f"lot {sample.lot}" if sample.lot else ""]
+    known = ", ".join(name for name in names if name)
+    return f"{known[:1].upper()}{known[1:]}" if known else "The sample"
 
 
 def _released(snapshot: Snapshot) -> bool:
@@ -190,6 +234,8 @@ def _title(snapshot: Snapshot) -> tuple[str, str]:
         return "Starting the scan", "The stage moves to the first field."
     if data is not None and not data.finished:
         return "The scan is unfinished", _missing(data)
+    if data is not None and data.damaged:
+        return "Frames are damaged", damage_sentence(data.damaged)
     if scan is not None:
         return "The scan is done", _waits(snapshot) or _how(scan, data)
     return "No scan yet", "Start one in Plan."

@@ -30,6 +30,7 @@ from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, Library, free_name, today
 from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_jobs import FileJobs
+from wafer_viewer.session.files.frame_check import FrameCheck
 from wafer_viewer.session.files.frame_compression import FrameCompression
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.inspection.inspection_commands import DefectController
@@ -77,11 +78,10 @@ class SessionCoordinator:
         self.audit_trail = AuditTrail(command_queue, self.notices, self._folder)
         self.plan_editor = PlanEditor(command_queue, self._folder)
         self.library = Library(command_queue, self._folder)
-        self.reconstruction = Reconstruction(
-            command_queue, self.notices, self.library, scheduler, lambda: self.compression.begin()
-        )
+        self.reconstruction = Reconstruction(command_queue, self.notices, self.library, scheduler, self._reconstructed)
         self.background = BackgroundWork(command_queue, self.notices, self.reconstruction.compute)
         self.compression = FrameCompression(self.library, self.background, self.notices)
+        self.frame_check = FrameCheck(command_queue, self.library, self.background, self.notices)
         self.files = FileJobs(command_queue, self.library, self.background, self.open.run)
         self.papers = Documents(command_queue, self.library, self.files)
         self.queries = DatasetQueries(self.library, lambda: command_queue.snapshot)
@@ -161,6 +161,7 @@ class SessionCoordinator:
         path = Path(path)
         self.rig.require_idle("open another dataset")
         self.reconstruction.abandon()
+        self.frame_check.forget()
         self.library.open(path)
         self._open_books()
         self._compute_missing()
@@ -211,6 +212,7 @@ class SessionCoordinator:
         """Close the dataset."""
         self.rig.require_idle("close its dataset")
         self.reconstruction.abandon()
+        self.frame_check.forget()
         self.library.close()
         self._open_books()
 
@@ -347,6 +349,7 @@ class SessionCoordinator:
 
     def _begin(self, scan: Scan) -> Future[Path]:
         self.reconstruction.abandon()
+        self.frame_check.abandon()
         self._scan_over = Future()
         begun = self.rig.scan(scan)
         begun.add_done_callback(lambda done: self.command_queue.note(self._scan_refused, done))
@@ -362,6 +365,7 @@ class SessionCoordinator:
 
     def _scan_begun(self, path: Path) -> Path:
         """Open the dataset that the rig process is writing, read-only, and queue its complete fields."""
+        self.frame_check.forget()
         self.library.open(path, taking=True)
         self._open_books()
         shown = self.library.shown
@@ -369,6 +373,12 @@ class SessionCoordinator:
         self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)
         self.library.refresh.run()
         return path
+
+    def _reconstructed(self) -> None:
+        """Look for damaged frames where a field got no heights, and compress the others if the job asks for it."""
+        if FieldState.FAILED in self.library.shown.states.values():
+            self.frame_check.begin()
+        self.compression.begin()
 
     def _load_sample(self) -> None:
         """Load the sample of the plan, or of the open dataset if there is no plan."""

@@ -25,6 +25,7 @@ from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_browser import Browsing
 from wafer_viewer.session.files.file_jobs import FileJobs
+from wafer_viewer.session.files.frame_check import FrameCheck
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.gauge.repeat_scans import Studies
 from wafer_viewer.session.inspection.inspection_commands import DefectController
@@ -57,6 +58,7 @@ _exposure = _Part(lambda coordinator: coordinator.exposure)
 _session = _Part(lambda coordinator: coordinator)
 _library = _Part(lambda coordinator: coordinator.library)
 _files = _Part(lambda coordinator: coordinator.files)
+_frame_check = _Part(lambda coordinator: coordinator.frame_check)
 _notices = _Part(lambda coordinator: coordinator.notices)
 _audit = _Part(lambda coordinator: coordinator.audit_trail)
 _results = _Part(lambda coordinator: coordinator.results_store)
@@ -116,6 +118,7 @@ class Session:
     refresh_datasets = _library(Library.refresh)
     open_dataset = _session(SessionCoordinator.open)
     close_dataset = _session(SessionCoordinator.close_dataset)
+    check_frames = _frame_check(FrameCheck.check)
     import_images = _files(FileJobs.import_images)
     export_surface = _files(FileJobs.export_surface)
     reconstruct = _session(SessionCoordinator.reconstruct)

@@ -92,7 +92,8 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
         case "plan" | "gauge":
             return True
         case "acquire":
-            return snapshot.scanning or snapshot.scan is not None or (data is not None and not data.finished)
+            lacks = data is not None and (not data.finished or bool(data.damaged))
+            return snapshot.scanning or snapshot.scan is not None or lacks
         case "surface":
             return data is not None and (data.finished or bool(data.stamps))
         case "measure" | "review" | "report":
@@ -119,7 +120,7 @@ def done(step: Step, snapshot: Snapshot) -> bool:
         data is not None
         and {
             "plan": True,
-            "acquire": data.finished and not snapshot.scanning,
+            "acquire": data.finished and not data.damaged and not snapshot.scanning,
             "surface": bool(_under_review(snapshot)),
             "measure": bool(snapshot.notebook.book.judgements),
             "gauge": any(isinstance(finding, GaugeCheck) for finding in snapshot.findings),

@@ -58,6 +58,13 @@ def no_dataset(snapshot: Snapshot, _: View) -> str | None:
     return None if snapshot.dataset is not None else "no dataset is open."
 
 
+def no_frames(snapshot: Snapshot, view: View) -> str | None:
+    """Require an open dataset with frames."""
+    data = snapshot.dataset
+    bare = "the open dataset is a surface without frames." if data is not None and not data.fields else None
+    return no_dataset(snapshot, view) or bare
+
+
 def no_surface(snapshot: Snapshot, view: View) -> str | None:
     """Require the stitched surface."""
     if snapshot.surface is not None:

@@ -16,7 +16,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
-from wafer_viewer.gui.acquire import AcquirePanel
+from wafer_viewer.gui.acquire import RETAKE, AcquirePanel, why_not_retaken
 from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_section import LineVerbs
@@ -36,6 +36,7 @@ from wafer_viewer.gui.page.preconditions import (
     cannot_go_to,
     no_dataset,
     no_fields_to_show,
+    no_frames,
     no_other_line,
     no_result,
     no_room_for_lines,
@@ -157,9 +158,24 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
 
 def _acquiring(page: Page, parts: Parts) -> list[Command]:
     go_on = _asking(page)("The scan was not continued", page.session.continue_scan)
+
+    def check() -> None:
+        page.ask("The frames were not checked", page.session.check_frames(), told)
+
+    def told(damaged: tuple[Any, ...]) -> None:
+        if damaged:
+            page.change(step="acquire")
+        else:
+            page.say("No frame is damaged", "Every frame is as it was taken.")
+
+    def retaken(snapshot: Snapshot, _: View) -> str | None:
+        return why_not_retaken(snapshot)
+
     return [
         Command("Stop all motion", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
         Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire", why_not=no_dataset),
+        Command("Check the frames", None, check, ICON.SHIELD_CHECK, group="Acquire", why_not=no_frames),
+        Command(RETAKE, None, parts.acquire.retake, ICON.REFRESH, group="Acquire", why_not=retaken),
     ]
 
 

@@ -39,6 +39,10 @@ class Notifications:
         fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
         self._command_queue.change(faults=(*others, fault)[-KEPT:])
 
+    def withdraw(self, title: str) -> None:
+        """Remove the faults with a title, whose cause is gone."""
+        self._command_queue.change(faults=tuple(f for f in self._command_queue.now.faults if f.title != title))
+
     @command
     def dismiss(self, fault_id: str) -> None:
         """Remove a fault from the list."""

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
 from wafer_viewer.model.job import WaferVerdict
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
@@ -194,6 +195,10 @@ class Library:
 
         self._dataset = Dataset.open(self.dataset.path)
         self._show(read_only=self.hold(), storage=_storage(self._dataset))
+
+    def show_damage(self, damaged: tuple[Shot, ...]) -> None:
+        """Show which frames of the open dataset are damaged."""
+        self._show(damaged=damaged)
 
     def set_state(self, field_number: int, state: FieldState) -> None:
         """Set the state of a field; a measured field gets a new stamp."""

@@ -12,7 +12,7 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.exposure import FoundExposure
 from wafer_viewer.model.acquisition.focus_following import FieldFocus
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.acquisition.plan import Field, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, ScanPlan, Shot
 from wafer_viewer.model.acquisition.positioners import PositionerState
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
@@ -378,6 +378,8 @@ class OpenDataset:
     """True if it was imported: it is unrelated to this program's rig and the sample on it."""
     storage: FrameStorage | None = None
     """Size of its frames if they may be compressed."""
+    damaged: tuple[Shot, ...] = ()
+    """Frames that were found to differ from their checksums."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,11 @@ from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describ
 from wafer_viewer.session.surface.worker_tasks import WARM_UP, reconstruct_field, reconstruct_live
 
 
+def no_heights(number: int) -> str:
+    """Return the title of the fault of a field that could not be reconstructed."""
+    return f"Field {number} has no heights"
+
+
 @dataclass(slots=True)
 class ReconstructionRun:
     """Reconstruction of the open dataset; fields can be added while a scan runs.
@@ -216,8 +221,9 @@ class Reconstruction:
             run.waiting.append(number)
         elif fault is not None:
             self._library.set_state(number, FieldState.FAILED)
-            self._notices.fault(f"Field {number} has no heights", str(fault), "surface", where=f"field {number}")
+            self._notices.fault(no_heights(number), str(fault), "surface", where=f"field {number}")
         else:
+            self._notices.withdraw(no_heights(number))
             self._library.set_state(number, FieldState.MEASURED)
             run.restitch = True
         self._notices.progress(run.work, (run.total - len(run.waiting) - len(run.busy)) / max(1, run.total))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.compute.child_process import alongside
 from wafer_viewer.compute.messages import WarmUp
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Recipe
@@ -65,6 +65,22 @@ def compress_frames(
     from wafer_viewer.store.dataset.compression import compress
 
     return compress(dataset, codec, progress, should_stop)
+
+
+def find_damaged_frames(
+    dataset: Path, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> tuple[Shot, ...]:
+    """Return the frames of a dataset that differ from their checksums, by field and frame; reads all of them.
+
+    Raises DatasetError when stopped.
+    """
+    from wafer_viewer.store.dataset.damaged_frames import find_damage
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    damages = find_damage(Dataset.open(dataset), progress, should_stop)
+    return tuple(
+        sorted((shot for damage in damages for shot in damage.shots), key=lambda s: (s.field, s.k, s.exposure))
+    )
 
 
 def reconstruct_live(

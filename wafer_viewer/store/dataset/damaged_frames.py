@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.model.acquisition.plan import Field, Shot
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.store.dataset.compression import rewrite_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import compression_of, create_pages, tags_crc32c
@@ -39,13 +40,22 @@ class FieldDamage:
         return bool(self.shots) or self.is_unreadable or self.has_damaged_tags
 
 
-def find_damage(data: Dataset) -> list[FieldDamage]:
-    """Compare all frames that count with their checksums; reads all of them, several files at once."""
+def find_damage(
+    data: Dataset, progress: Progress | None = None, should_stop: ShouldStop | None = None
+) -> list[FieldDamage]:
+    """Compare all frames that count with their checksums; reads all of them, several files at once.
+
+    Raises DatasetError when stopped.
+    """
     tags = data.scan.tags_crc32c()
     n_threads = 1 if data.scan.is_compressed else min(_MOST_THREADS, os.cpu_count() or 1)  # decoding uses all cores
     with ThreadPoolExecutor(n_threads) as threads:
-        found = threads.map(lambda field: _damage(data, field, tags.get(field.number)), data.fields)
-        return [damage for damage in found if damage.is_any]
+        submitted = [threads.submit(_damage, data, field, tags.get(field.number)) for field in data.fields]
+        try:
+            awaited = with_progress(submitted, len(submitted), "The check of the frames", progress, should_stop)
+            return [damage for done in awaited if (damage := done.result()).is_any]
+        finally:
+            threads.shutdown(cancel_futures=True)
 
 
 def make_writable(data: Dataset, damage: FieldDamage, description: bytes) -> None:
