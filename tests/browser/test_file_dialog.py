@@ -22,7 +22,7 @@ from tests.support.datasets.grid_dataset import REGISTERED, RESULT, add_surfaces
 from tests.truth.field_grid import SMALL, make
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.planning.plan_editor import read_job
+from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.formats.exporters import export

@@ -171,7 +171,7 @@ def test_a_golden_die_has_a_plain_name(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("kind", ["settings", "recipe", "certificate"])
 def test_a_text_of_settings_is_no_program(tmp_path: Path, kind: str) -> None:
     from wafer_viewer.cli.parser import read_recipe
-    from wafer_viewer.session.planning.plan_editor import read_job
+    from wafer_viewer.session.planning.job_releases import read_job
     from wafer_viewer.store.records.gauge_records import read_certificate
 
     mark, path = tmp_path / "executed", tmp_path / "settings.toml"

@@ -19,7 +19,7 @@ from tests.support.outside_readers import OutsideReader
 from wafer_viewer.model.errors import DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode
-from wafer_viewer.session.planning.plan_editor import read_job
+from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.image_files import pictures, preview
 from wafer_viewer.store.dataset.writer import DatasetWriter

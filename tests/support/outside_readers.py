@@ -39,7 +39,7 @@ from wafer_viewer.rigs.pulse_box.wpc_protocol import encode as encode_line
 from wafer_viewer.rigs.rig_config import read_config
 from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.session.core.dataset_library import load_summary
-from wafer_viewer.session.planning.plan_editor import read_job
+from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.store.dataset.compression import compress
 from wafer_viewer.store.dataset.dataset import Dataset

@@ -135,7 +135,8 @@ def plan(plan_file: PlanFile, rig: File = None, json: bool = False) -> None:
         rig: RIG.toml of the instrument; the virtual rig without it.
         json: Print JSON instead of a table.
     """
-    from wafer_viewer.session.planning.plan_editor import plan_of, read_job
+    from wafer_viewer.session.planning.job_releases import read_job
+    from wafer_viewer.session.planning.plan_editor import plan_of
 
     job = read_job(plan_file)
     with _opened(rig) as device:
@@ -166,7 +167,7 @@ def exposure(
     """
     from wafer_viewer.session.acquisition.exposure_search import write_exposures
     from wafer_viewer.session.acquisition.headless import find_exposure
-    from wafer_viewer.session.planning.plan_editor import read_job
+    from wafer_viewer.session.planning.job_releases import read_job
 
     job = read_job(plan_file)
     with _opened(rig) as device, progress("Exposure") as tell:
@@ -236,16 +237,23 @@ def scan(
         rig: RIG.toml of the instrument; the virtual rig without it.
         wafer: Id of the wafer.
         lot: Its lot.
-        operator: Who scans it.
+        operator: Who scans it; where people are listed, one of them, who gives a password.
         corners: Where on the stage each corner was seen that the job aligns by, x and y, in the job's order.
         compress: Compress the frames without loss at the end: zstd, deflate or jpeg2000; as the plan says by default.
         yes: Start although something is not as it should be, as long as nothing forbids the scan.
     """
     from wafer_viewer.session.acquisition.headless import scan_to
+    from wafer_viewer.session.core.signing_in import acting_person, name_of, role_of
     from wafer_viewer.session.planning.headless import job_of_wafer
+    from wafer_viewer.session.planning.job_releases import require_released
     from wafer_viewer.session.planning.preflight import require_passed
 
+    folder = out.absolute().parent
+    person = acting_person(folder, "Scan made", operator, "--operator")
+    operator = operator if person is None else person.name
     job = job_of_wafer(plan_file, out, {"wafer_id": wafer, "lot": lot, "operator": operator}, corners)
+    if role_of(person) == "operator":
+        require_released(folder, job, f"{operator} is listed as operator.")
     if compress is not None:
         job = replace(job, compression=compress)
 
@@ -258,7 +266,7 @@ def scan(
     if ended.error is not None:
         raise RigError(ended.error)
     print(f"{out}: {ended.words}")
-    audit(out.absolute().parent, "Scan made", out.name, ended.words, by=operator or "")
+    audit(folder, "Scan made", out.name, ended.words, by=name_of(person, operator))
     if ended.stopped:
         return INTERRUPTED
     status = _judged(out, job) if job.released else 0
@@ -515,6 +523,8 @@ def release(
     result: str = "default",
     data: Path = Path("~/wafer-viewer"),
     against: Annotated[tuple[Path, ...], arg(metavar="DATASET|FOLDER ...")] = (),
+    by: Text = None,
+    reason: str = "",
     dry_run: bool = False,
 ) -> None:
     """Release a plan as a job that operators run with four actions; prints its file. A revision is never overwritten.
@@ -530,12 +540,17 @@ def release(
         result: Name of the reconstruction.
         data: Folder of the datasets; released jobs lie in its folder jobs.
         against: Stored datasets, or folders of them, to try it on before it is released.
+        by: Engineer who releases it, where people are listed; the account without it.
+        reason: What the job is for, or what changed, for the audit log; needed where people are listed.
         dry_run: Only say what would change; release nothing.
     """
+    from wafer_viewer.session.core.signing_in import acting_person, name_of, require_reason
     from wafer_viewer.session.planning.headless import job_to_release, tried
     from wafer_viewer.session.planning.job_releases import write_released
 
     names, folder = {"product": product, "revision": revision}, data.expanduser()
+    person = None if dry_run else acting_person(folder, "Job released", by)
+    require_reason(person, reason)
     job = job_to_release(plan_file, names, good, result, folder)
     if against:
         with progress("Judging stored datasets") as tell:
@@ -544,7 +559,8 @@ def release(
     if not dry_run:
         path = write_released(folder, job)
         print(path)
-        audit(folder, "Job released", path.name)
+        why = f"why: {' '.join(reason.split())}" if reason.strip() else ""
+        audit(folder, "Job released", path.name, why, by=name_of(person, by), wrote=path)
 
 
 def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:

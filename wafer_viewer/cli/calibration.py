@@ -61,14 +61,16 @@ def _command(kind: CalibrationKind) -> Callable[..., int]:
         from wafer_viewer.session.calibration.frames import CalibrationSite
         from wafer_viewer.session.calibration.headless import accept_calibration, run_calibration
 
-        _require_name(by)
         folder = data.expanduser()
+        by = _required_name(by, why, folder)
         site = CalibrationSite(x_um=x_um, y_um=y_um, z_um=z_um, z_range_um=z_range_um, exposure_us=exposure_us)
         device = open_rig(RigConfig() if rig is None else read_config(rig))
         try:
             with progress(KINDS[kind].title) as tell:
                 result = run_calibration(device, kind, folder, site, tell, **options)
             path = None if by is None else accept_calibration(device, folder, result, by, why)
+            if path is not None:
+                audit(folder, "Calibration accepted", path.name, why, by=by or "", wrote=path)
         except MotionStopped as stop:
             print(f"{stop} Nothing is recorded.")
             return INTERRUPTED
@@ -113,7 +115,7 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
     from wafer_viewer.session.gauge.signed_checks import trusted_checks
     from wafer_viewer.session.gauge.z_scale_correction import in_force, last_check
 
-    _require_name(by)
+    by = _required_name(by, why, folder)
     newest = last_check(folder, ())
     name = newest.rig if rig is None else _name_of(rig)
     checks = [check for check in trusted_checks(folder) if check.rig == name]
@@ -121,7 +123,7 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
     facts = CalibratedRigFacts(name, checks[-1].check.simulated, in_force(folder, checks[-1]))
     path = None if by is None else accept(folder, facts, result, by, why)
     if path is not None:
-        audit(folder, "Calibration accepted", path.name, why, by=by or "")
+        audit(folder, "Calibration accepted", path.name, why, by=by or "", wrote=path)
     _print(result, path)
 
 
@@ -158,10 +160,20 @@ def calibrate_list(folder: DataFolder, rig: File = None, json: bool = False) -> 
     return int(any(row.is_due for row in rows))
 
 
-def _require_name(by: str | None) -> None:
-    """Raise RigError for an empty signature before anything moves."""
-    if by is not None and not by.strip():
+def _required_name(by: str | None, why: str, folder: Path) -> str | None:
+    """Return who signs, None if nobody does; where people are listed, an engineer who gives a reason.
+
+    Raises RigError for an empty signature, and errors of `acting_person`, before anything moves.
+    """
+    from wafer_viewer.session.core.signing_in import acting_person, require_reason
+
+    if by is None:
+        return None
+    if not by.strip():
         raise RigError("A calibration is accepted under a name: say who signs it with --by NAME.")
+    person = acting_person(folder, "Calibration accepted", by)
+    require_reason(person, why, "--why")
+    return by if person is None else person.name
 
 
 def _name_of(rig: Path) -> str:

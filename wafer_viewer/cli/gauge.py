@@ -91,8 +91,12 @@ def calibrate_z(folder: DataFolder, by: Text = None, why: str = "", serial: Seri
         why: A remark.
         serial: The newest check with these blocks.
     """
+    from wafer_viewer.session.core.signing_in import acting_person, require_reason
     from wafer_viewer.session.gauge.z_scale_correction import correct, in_force, last_check, offered
 
+    person = None if by is None else acting_person(folder, "Scale of z corrected", by)
+    require_reason(person, why, "--why")
+    by = by if person is None else person.name
     check = last_check(folder, serial)
     before = in_force(folder, check)
     found = offered(check, before) if by is None else correct(folder, check, before, by, why)

@@ -221,12 +221,14 @@ def print_audit(entries: Iterable[AuditEntry]) -> None:
     Console(soft_wrap=True).print(table)
 
 
-def audit(folder: Path, action: Action, subject: str, detail: str = "", *, by: str = "") -> None:
+def audit(
+    folder: Path, action: Action, subject: str, detail: str = "", *, by: str = "", wrote: Path | None = None
+) -> None:
     """Record what a command did in the audit log of a data folder; warn when it cannot be: the work is done."""
     from wafer_viewer.session.core.audit_trail import NOT_WRITTEN, record
 
     try:
-        record(folder, action, subject, detail, by=by)
+        record(folder, action, subject, detail, by=by, wrote=wrote)
     except DatasetError as fault:
         warn(f"{NOT_WRITTEN}, {action}, {subject}: {fault}")
 

@@ -36,6 +36,7 @@ from wafer_viewer.gui.widgets.controls import (
     set_prop,
 )
 from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.audit import Action
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.job import Verdict
 from wafer_viewer.session.rendering.render_request import RenderRequest
@@ -168,12 +169,16 @@ class ReviewPanel:
         self._title, self._notes, self._picture, self._numbers, self._classes = (HtmlBlock(gui) for _ in range(5))
         HtmlBlock(gui, html.head("Judgement", "keys Y and N"))
         self._judgement = ToggleGroup(
-            gui, "Decision", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge)
+            gui, "Decision", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge), "Finding judged"
         )
-        note = controlled(gui.add_text("Note", "", hint="Saved with the judgement and shown in the report"))
+        note = controlled(
+            gui.add_text("Note", "", hint="Saved with the judgement and shown in the report"), "Finding judged"
+        )
         self._note: BoundInput[str] = BoundInput(note, lambda _: self._edits.made(), page, "The note was not changed")
-        self._undo = command_button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
-        self._redo = command_button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
+        judged: Action = "Finding judged"
+        back, forth = self._taking_back("undo"), self._taking_back("redo")
+        self._undo = command_button(gui, "Undo", viser.Icon.ARROW_BACK_UP, back, action=judged)
+        self._redo = command_button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, forth, action=judged)
         in_a_row(gui, [self._undo, self._redo], 30)
         self._done = HtmlBlock(gui)
         on = button(

@@ -36,6 +36,8 @@ Action = Literal[
     "Defect recipe saved",
     "Defect recipe deleted",
     "Golden die kept",
+    "Person added",
+    "Person removed",
 ]
 """Everything that the audit log holds; an action is entered here and with the command that carries it out."""
 
@@ -44,7 +46,8 @@ class AuditEntry(Spec, frozen=True, kw_only=True):
     """One action that changed something.
 
     at: UTC, ISO 8601; by: name of the browser, or of the account; through: where it was done; action: what was done;
-    subject: dataset, job or file that it was done to; detail: what was given with it.
+    subject: dataset, job or file that it was done to; detail: what was given with it; sha256: digest, hex, of the file
+    that it wrote.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -54,3 +57,4 @@ class AuditEntry(Spec, frozen=True, kw_only=True):
     action: str
     subject: str = ""
     detail: str = ""
+    sha256: str = ""

@@ -74,6 +74,10 @@ class ControlHeldError(WaferViewerError):
     """A command that requires the controls came from a client that does not hold them."""
 
 
+class RoleError(WaferViewerError):
+    """An action that only an engineer may do was asked for by somebody in another role."""
+
+
 @contextmanager
 def parser_errors_as(refusal: Callable[[Exception], WaferViewerError]) -> Generator[None]:
     """Run a parser of foreign bytes: whatever it raises becomes the error that `refusal` makes of it.

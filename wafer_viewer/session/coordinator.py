@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from wafer_viewer.model.acquisition.focus_following import CoarseLook
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.errors import DatasetError, PlanError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
@@ -226,6 +226,7 @@ class SessionCoordinator:
 
         self.rig.require_idle("start another")
         job, plan = self.plan_editor.ready()
+        self.plan_editor.require_runnable(job)
         if look_before(job, plan) is not None:
             require_passed(preflight_of_snapshot(self.command_queue.now, self.rig.latest_frame, today()))
             return self.command_queue.then(self.look_for_focus.run(), lambda _: self.start_scan.run(name))
@@ -276,6 +277,7 @@ class SessionCoordinator:
         self.compression.require_over(shown.path)
         if shown.read_only is not None:
             raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
+        self.plan_editor.require_runnable(shown.job)
         self.library.release_lock()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
@@ -312,6 +314,8 @@ class SessionCoordinator:
         shown = self.library.shown
         if not shown.fields:
             raise DatasetError(f"{shown.name} is a surface without frames: there is nothing to reconstruct.")
+        if recipe not in (None, shown.job.recipe) and (why := self.command_queue.now.control.refusal("Plan saved")):
+            raise RoleError(why)
         if shown.read_only is not None:
             raise DatasetError(f"Nothing can be reconstructed: {shown.read_only}")
         fields = [n for n, state in shown.states.items() if self._has_stack(n, state)]

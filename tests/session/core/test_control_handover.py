@@ -189,6 +189,7 @@ FREE = {
         "stop_scan",
     ),
     *("control.arrive", "control.leave", "control.rename", "control.ask", "control.hand_over", "control.keep"),
+    *("control.sign_in", "control.sign_out"),
     *("live.keep_picture", "calibration.refresh"),
     *("papers.keep_picture", "papers.write_report", "papers.contents"),
     *("browsing.list_folder", "browsing.look", "browsing.allowed"),

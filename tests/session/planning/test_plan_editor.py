@@ -11,7 +11,8 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.planning.plan_editor import RIG_STARTS, PlanEditor, read_job, suggested_name
+from wafer_viewer.session.planning.job_releases import read_job
+from wafer_viewer.session.planning.plan_editor import RIG_STARTS, PlanEditor, suggested_name
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 OUTLINE = ((-3000.0, -2000.0), (3000.0, -2000.0), (3000.0, 2000.0), (-3000.0, 2000.0))

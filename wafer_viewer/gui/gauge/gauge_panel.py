@@ -348,7 +348,13 @@ class GaugePanel:
         self._terms = TermsSection(self._page)
         self._sums = HtmlBlock(gui)
         self._scale = HtmlBlock(gui)
-        self._correct = command_button(gui, "Correct the z scale…", ICON.ARROWS_VERTICAL, lambda _: verbs.correct())
+        self._correct = command_button(
+            gui,
+            "Correct the z scale…",
+            ICON.ARROWS_VERTICAL,
+            lambda _: verbs.correct(),
+            action="Scale of z corrected",
+        )
         in_a_row(gui, [self._correct])
         self._studies = StudySection(self._page)
         HtmlBlock(gui, Markup('<div style="height:10px"></div>'))

@@ -150,7 +150,13 @@ class InstrumentPanel:
             "evaluate": command_button(
                 gui, "Evaluate the checks", ICON.MATH_FUNCTION, guarded(page, NOT_RUN)(lambda _: self._run())
             ),
-            "keep": command_button(gui, "Keep…", ICON.SIGNATURE, guarded(page, NOT_KEPT)(lambda _: self._keep())),
+            "keep": command_button(
+                gui,
+                "Keep…",
+                ICON.SIGNATURE,
+                guarded(page, NOT_KEPT)(lambda _: self._keep()),
+                action="Calibration accepted",
+            ),
         }
         for handle in self._leads.values():
             leading(gui, handle)

@@ -16,10 +16,19 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, bar, unbar
+from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, bar, unbar
+from wafer_viewer.model.roles import rule
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
-_STYLE = html.style_sheet(f"[{html.NEEDS_CONTROL}]{{opacity:.5;pointer-events:none}}")
+_GREY = "{opacity:.5;pointer-events:none}"
+_WATCHING = html.style_sheet(f"[{html.NEEDS_CONTROL}]{_GREY}")
+_OPERATING = html.style_sheet(f"[{html.NEEDS_ENGINEER}],div:has(>.{html.FOR_ENGINEERS})+div{_GREY}")
+_MASKED = Markup('<div class="wv-masked"></div>') + html.style_sheet(
+    "div:has(>.wv-masked)+div input{-webkit-text-security:disc}"
+)
+"""Mark before a text field whose letters are not shown; viser has no field for passwords."""
+SIGN_IN_S = 20.0
+"""Longest time for a password to be compared, s."""
 
 
 class ControlLock:
@@ -30,25 +39,29 @@ class ControlLock:
         self._control = ControlState()
         self._barred: dict[str, Any] = {}
         self._strip = HtmlBlock(page.gui)
-        page.on_close(lambda: self._bar(False))
+        page.on_close(lambda: self._bar(False, False))
         page.on_pick("hands", lambda _: control_dialog(page))
         page.on_pick("hands-ask", lambda _: ask(page))
+        page.on_pick("sign-in", lambda _: sign_in_dialog(page))
+        page.on_pick("sign-out", lambda _: sign_out(page))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the locked widgets and the note."""
         control, key = snapshot.control, self._page.browser.key
-        watching = control.browser(key) is not None and not control.holds(key)
-        self._strip.show(_watching(control, key) + _STYLE if watching else "")
-        self._bar(watching)
+        there, role = control.browser(key) is not None, control.role_of(key)
+        watching = there and control.why_only_watching(key) is not None
+        operating = there and not watching and role == "operator"
+        self._strip.show(_strip(control, key) if watching or operating else "")
+        self._bar(watching, operating)
         self._tell(self._control, control)
         self._control = control
 
-    def _bar(self, watching: bool) -> None:
-        """Disable the widgets of an observer, including those made since the last call; else enable them again."""
+    def _bar(self, watching: bool, operating: bool) -> None:
+        """Disable what an observer or an operator may not use, also if made since the last call; enable the rest."""
         wanted: dict[str, Any] = {}
-        if watching:
+        if watching or operating:
             handles = dict(self._page.gui._gui_input_handle_from_uuid)
-            wanted = {uuid: handle for uuid, handle in handles.items() if getattr(handle, "needs_control", False)}
+            wanted = {uuid: handle for uuid, handle in handles.items() if _is_barred(handle, watching)}
         for handle in wanted.values():
             bar(handle)
         for uuid in self._barred.keys() - wanted.keys():
@@ -68,6 +81,10 @@ class ControlLock:
                 )
         if now.refused == key and before.refused != key:
             page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
+
+
+def _is_barred(handle: Any, watching: bool) -> bool:
+    return getattr(handle, "needs_control", False) if watching else getattr(handle, "needs_role", "") == "engineer"
 
 
 class ControlRequestPrompt:
@@ -95,8 +112,34 @@ def ask(page: Page) -> None:
 
 
 def hand_over(page: Page, to: str) -> None:
-    """Hand control over to another browser."""
-    page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, to))
+    """Hand control over to the browser with a public id."""
+    browsers = page.session.snapshot.control.browsers
+    key = next((browser.key for browser in browsers if browser.public_id == to), "")
+    page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, key))
+
+
+def sign_in_dialog(page: Page) -> None:
+    """Open the dialog in which a listed person signs in at this browser."""
+    below = "Operators run released jobs; engineers may do everything. The audit log names who was signed in."
+    dialog = Dialog(page, "Sign in", below)
+    with dialog.modal:
+        name = page.gui.add_text("Your name", "")
+        add_html(page.gui, _MASKED)
+        password = page.gui.add_text("Password", "")
+
+    def done() -> None:
+        key = page.browser.key
+        person = page.session.control.sign_in(key, name.value, password.value).result(SIGN_IN_S)
+        page.say(f"{person.name} is signed in", f"As {person.role}.")
+        if page.session.snapshot.control.holder is None:
+            page.ask("Control was not handed over", page.session.control.ask(key))
+
+    dialog.answers("Sign in", viser.Icon.LOGIN, done, "Nobody was signed in", needs_control=False)
+
+
+def sign_out(page: Page) -> None:
+    """Sign out the person at this browser."""
+    page.ask("Nobody was signed out", page.session.control.sign_out(page.browser.key))
 
 
 def control_dialog(page: Page) -> None:
@@ -105,8 +148,8 @@ def control_dialog(page: Page) -> None:
     holds = control.holds(key)
     dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
     with dialog.modal:
-        HtmlBlock(page.gui, _people(control, key))
-        name = page.gui.add_text("Your name", control.name_of(key))
+        HtmlBlock(page.gui, _people(control, key) + _signing(control, key))
+        name = page.gui.add_text("Your name", control.name_of(key), visible=not control.is_signed_in(key))
 
     def done() -> None:
         _call(page, name.value)
@@ -118,7 +161,17 @@ def control_dialog(page: Page) -> None:
         _call(page, name.value)
         hand_over(page, to)
 
+    def to_sign_in() -> None:
+        dialog.close()
+        sign_in_dialog(page)
+
+    def to_sign_out() -> None:
+        dialog.close()
+        sign_out(page)
+
     page.on_pick("hands-to", pass_on)
+    page.on_pick("to-sign-in", lambda _: to_sign_in())
+    page.on_pick("to-sign-out", lambda _: to_sign_out())
     if holds:
         dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed", needs_control=False)
     else:
@@ -138,7 +191,8 @@ def _call(page: Page, name: str) -> None:
 def _people(control: ControlState, key: str) -> Markup:
     def line(browser: Browser) -> Markup:
         me = " (this browser)" if browser.key == key else ""
-        return html.row([browser.name + me, _state(control, browser, key)], " n")
+        role = f", {browser.role}" if browser.role else ""
+        return html.row([browser.name + role + me, _state(control, browser, key)], " n")
 
     return html.table([], [line(browser) for browser in control.browsers], " n") + Markup(
         '<div style="height:8px"></div>'
@@ -151,8 +205,33 @@ def _state(control: ControlState, browser: Browser, key: str) -> Markup:
     if not browser.present:
         return Markup('<span class="dim">disconnected</span>')
     if control.holds(key):
-        return Markup('<span class="wv-link" {}>Hand over</span>').format(html.pick("hands-to", browser.key))
+        return Markup('<span class="wv-link" {}>Hand over</span>').format(html.pick("hands-to", browser.public_id))
     return Markup('<span class="dim">watches</span>')
+
+
+def _signing(control: ControlState, key: str) -> Markup:
+    """Return the link to sign in or out; empty where nobody is listed."""
+    if not control.engineers:
+        return Markup()
+    what, verb = ("to-sign-out", "Sign out") if control.is_signed_in(key) else ("to-sign-in", "Sign in…")
+    return Markup('<div style="margin-bottom:8px"><span class="wv-link" {}>{}</span></div>').format(
+        html.pick(what), verb
+    )
+
+
+def _strip(control: ControlState, key: str) -> Markup:
+    """Return the note above the panel of an observer or an operator, and the style of what cannot be used."""
+    if not control.holds(key):
+        return _watching(control, key) + _WATCHING
+    if control.role_of(key) is None:
+        link = Markup('<span class="wv-link" {}>Sign in…</span>').format(html.pick("sign-in"))
+        told = "Sign in to use the controls. Without that you may look, measure and stop all motion."
+        return html.note("busy", "Nobody is signed in here.", told, link, html.icon(viser.Icon.USER, 18)) + _WATCHING
+    link = Markup('<span class="wv-link" {}>Sign out</span>').format(html.pick("sign-out"))
+    title = f"{control.name_of(key)} is signed in as operator."
+    changed = "changes plans, jobs, recipes, calibrations and verdicts"
+    told = f"Released jobs may be run. {rule(changed, control.engineers)}"
+    return html.note("busy", title, told, link, html.icon(viser.Icon.USER, 18)) + _OPERATING
 
 
 def _watching(control: ControlState, key: str) -> Markup:
@@ -172,7 +251,8 @@ def _question(control: ControlState) -> Markup:
     """Return the request with its two answers and a bar that runs down until control passes."""
     name = control.name_of(control.requester)
     gone_s = max(0.0, time.time() - control.requested_at)
-    over, stay = html.pick("hands-over", control.requester), html.pick("hands-keep")
+    requester = control.browser(control.requester)
+    over, stay = html.pick("hands-over", requester.public_id if requester else ""), html.pick("hands-keep")
     return Markup(
         '<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
         "<b>{name} asks for the controls</b>"

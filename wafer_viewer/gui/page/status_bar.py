@@ -162,7 +162,8 @@ def _controls(control: ControlState, key: str) -> Markup:
         return Markup()
     watching = len([b for b in control.browsers if b.present]) - (1 if control.holder else 0)
     others = f" · {watching} watch{'es' if watching == 1 else ''}" if watching > 0 and control.holds(key) else ""
-    who = "You hold the controls" if control.holds(key) else (control.why_not(key) or "").rstrip(".")
+    me = f"{control.name_of(key)}, {control.role_of(key)}: you hold" if control.is_signed_in(key) else "You hold"
+    who = f"{me} the controls" if control.holds(key) else (control.why_not(key) or "").rstrip(".")
     sign = html.icon(viser.Icon.HAND_STOP if control.holds(key) else viser.Icon.EYE, 14)
     look = "mine" if control.holds(key) else "theirs"
     label = Markup('title="{}: who is there, your name, and how to ask for the controls" {}').format(

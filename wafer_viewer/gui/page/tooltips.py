@@ -27,6 +27,7 @@ def _limited(text: str, spec: type[Spec], field: str) -> str:
 FIELDS: dict[str, str] = {
     # Plan
     "Name": "Name of the sample, used in files and reports",
+    "Password": "Of a person who is listed, not that of the page",
     "Lot": "Lot of the wafer, recorded in the dataset and in reports",
     "Wafer": "Number of the wafer in its lot",
     "Wafer id": "As written on the wafer",

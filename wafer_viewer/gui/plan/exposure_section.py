@@ -18,9 +18,9 @@ class ExposureSection:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._find = command_button(
-            page.gui, "Find the exposure", viser.Icon.BRIGHTNESS_UP, guarded(page, FAILED)(lambda _: self._search())
-        )
+        find = guarded(page, FAILED)(lambda _: self._search())
+        icon = viser.Icon.BRIGHTNESS_UP
+        self._find = command_button(page.gui, "Find the exposure", icon, find, action="Plan saved")
         in_a_row(page.gui, [self._find])
         self._result = HtmlBlock(page.gui)
         page.on_pick("bracket", lambda _: page.ask("The bracket was not taken", page.session.take_bracket()))

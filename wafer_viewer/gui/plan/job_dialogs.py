@@ -69,7 +69,8 @@ def job_table(entries: tuple[JobEntry, ...], what: str) -> Markup:
         return html.empty("No job is released yet.")
 
     def line(entry: JobEntry) -> Markup:
-        name = Markup("{}<small>revision {}</small>").format(entry.product, entry.revision)
+        since = Markup(' · <b style="color:var(--attention)">edited, no longer released</b>') if entry.edited else ""
+        name = Markup("{}<small>revision {}{}</small>").format(entry.product, entry.revision, since)
         return html.row([name, str(entry.n_fields), str(entry.n_features)], " nn", html.command_pick(what, entry.path))
 
     return html.table(["Released job", "Fields", "Features"], [line(entry) for entry in entries], " nn")
@@ -133,15 +134,17 @@ def release_dialog(page: Page) -> None:
         HtmlBlock(page.gui, before_release(now.operating, trial_is_old(now)))
         product = page.gui.add_text("Product", job.product or job.sample.product)
         revision = page.gui.add_text("Revision", job.revision)
+        why = page.gui.add_text("Reason", "")
 
     def release() -> None:
+        now.control.require_reason(why.value)
         if not (product.value.strip() and revision.value.strip()):
             raise PlanError("Product and revision both need a name: an operator chooses by them.")
         edit(page, then=write, product=product.value.strip(), revision=revision.value.strip())
 
     def write(_: Any) -> None:
         failed = "The job was not released"
-        page.ask(failed, page.session.jobs.release(), lambda path: page.say("Released", str(path)))
+        page.ask(failed, page.session.jobs.release(why.value.strip()), lambda path: page.say("Released", str(path)))
 
     dialog.answers("Release", viser.Icon.LOCK, release, "The job was not released")
 

@@ -336,6 +336,9 @@ class PlanPanel:
             return "a scan is running."
         if rig.state != "ready":
             return rig.message or f"the rig is {rig.state}."
+        operating = snapshot.control.refusal("Job released") is not None
+        if operating and not (draft.job is not None and draft.job.released):
+            return "choose a released job: operators run no other plan."
         if draft.typed is not None or draft.job is None:
             return draft.typed.problem if draft.typed else "the sample has no size."
         if draft.problem or draft.plan is None:
@@ -368,7 +371,11 @@ class PlanPanel:
         self._following = FollowSection(self._page)
         self._strategies = HtmlBlock(gui)
         save = command_button(
-            gui, "Save plan…", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save)
+            gui,
+            "Save plan…",
+            viser.Icon.DEVICE_FLOPPY,
+            self._on("The plan was not saved", self.save),
+            action="Plan saved",
         )
         load = command_button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
@@ -383,23 +390,28 @@ class PlanPanel:
         duo(gui)
         self._lot, self._wafer = self._field(gui.add_text("Lot", "")), self._field(gui.add_text("Wafer", ""))
         duo(gui)
-        self._product = self._field(gui.add_text("Product", ""))
+        self._product = self._prepared_field(gui.add_text("Product", ""))
         self._operator = self._field(gui.add_text("Operator", ""))
-        self._size = self._field(OptionalPair(gui, "Size, mm", over=0).handle)
+        self._size = self._prepared_field(OptionalPair(gui, "Size, mm", over=0).handle)
 
     def _build_grid(self) -> None:
         gui = self._page.gui
         self._grid_head = HtmlBlock(gui)
         self._grid_fields = gui.add_folder(None, visible=False)
         with self._grid_fields:
-            self._columns_rows = self._field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
-            self._overlap = self._field(gui.add_slider("Overlap, %", 0.0, 50.0, 0.5, 10.0))
-            self._centre = self._field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
+            self._columns_rows = self._prepared_field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
+            self._overlap = self._prepared_field(gui.add_slider("Overlap, %", 0.0, 50.0, 0.5, 10.0))
+            self._centre = self._prepared_field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
+            failed = "The grid was not changed"
             cover = command_button(
-                gui, "Cover the sample", viser.Icon.ARROWS_MAXIMIZE, self._on("The grid was not changed", self._cover)
+                gui,
+                "Cover the sample",
+                viser.Icon.ARROWS_MAXIMIZE,
+                self._on(failed, self._cover),
+                action="Plan saved",
             )
             centre = command_button(
-                gui, "Move to stage", viser.Icon.CROSSHAIR, self._on("The grid was not changed", self._to_stage)
+                gui, "Move to stage", viser.Icon.CROSSHAIR, self._on(failed, self._to_stage), action="Plan saved"
             )
             self._moves = (cover, centre)
             in_a_row(gui, self._moves)
@@ -411,13 +423,13 @@ class PlanPanel:
         with self._sweep_fields:
             sweep = gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5)
             self._range: BoundInput[tuple[float, float]] = BoundInput(
-                controlled(sweep), self._typed, self._page, "The plan was not changed"
+                controlled(sweep, "Plan saved"), self._typed, self._page, "The plan was not changed"
             )
-            self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
-            self._follow = self._field(OptionalPair(gui, FOLLOW_LABEL, between=", ", hint=FOLLOW_HINT).handle)
-            self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
+            self._step = self._prepared_field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
+            self._follow = self._prepared_field(OptionalPair(gui, FOLLOW_LABEL, between=", ", hint=FOLLOW_HINT).handle)
+            self._exposures = self._prepared_field(gui.add_text("Exposures, µs", "100"))
             self._exposure = ExposureSection(self._page)
-            self._compression = self._field(
+            self._compression = self._prepared_field(
                 gui.add_dropdown("Frames on disk", tuple(COMPRESSIONS.values()), hint=COMPRESSION_HINT)
             )
             self._depth = HtmlBlock(gui)
@@ -430,6 +442,12 @@ class PlanPanel:
 
     def _field(self, handle: Any) -> BoundInput[Any]:
         return BoundInput(controlled(handle), lambda _: self._edits.made(), self._page, "The plan was not changed")
+
+    def _prepared_field(self, handle: Any) -> BoundInput[Any]:
+        """Return an input of what an engineer prepares."""
+        bound = self._field(handle)
+        controlled(bound.handle, "Plan saved")
+        return bound
 
     def _on(self, name: str, verb: Any) -> Any:
         return guarded(self._page, name)(lambda _: verb())

@@ -69,9 +69,8 @@ class ReleaseSection:
         set_prop(self._copy, "visible", job.released)
 
     def _button(self, name: str, icon: Any, ask: Any) -> Any:
-        return command_button(
-            self._page.gui, name, icon, guarded(self._page, "The plan was not changed")(lambda _: ask(self._page))
-        )
+        act = guarded(self._page, "The plan was not changed")(lambda _: ask(self._page))
+        return command_button(self._page.gui, name, icon, act, action="Plan saved")
 
     def _to_copy(self, page: Page) -> None:
         page.ask("The job was not changed", page.session.jobs.copy(), lambda _: page.change(everything=False))
@@ -110,7 +109,7 @@ def _feature(n: int, feature: Feature, released: bool) -> Markup:
     name = Markup("{name}<small>{what}{where}<br>{rules}</small>").format(
         name=feature.name, what=what, where=where, rules=RULES[feature.decision_rule]
     )
-    pick = html.command_pick("no-feature", n)
+    pick = html.command_pick("no-feature", n, "Plan saved")
     away = Markup('<span class="wv-link" title="Remove" {}>{}</span>').format(pick, html.icon(viser.Icon.X, 14))
     cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
-    return html.row(cells, " nn ", "" if released else html.command_pick("feature", n))
+    return html.row(cells, " nn ", "" if released else html.command_pick("feature", n, "Plan saved"))

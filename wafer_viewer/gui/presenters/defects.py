@@ -144,7 +144,7 @@ def classes(defect: Defect) -> Markup:
         ).format(
             kind="on" if kind == now else "",
             aria_pressed=str(kind == now).lower(),
-            command_pick=html.command_pick("defect-class", kind),
+            command_pick=html.command_pick("defect-class", kind, "Defects judged"),
             key=look.key,
             sign_of=sign_of(kind),
             title=look.title,

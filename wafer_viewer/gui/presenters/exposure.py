@@ -33,7 +33,9 @@ def _bracket(found: FoundExposure, exposures_us: tuple[float, ...]) -> Markup:
     if exposures_us == found.bracket_us:
         return table
     dark = f"{share(found.single.dark_fraction)} of the pixels are darker than 5 % of white"
-    link = Markup('<span class="wv-link" {}>Take the bracket</span>').format(html.command_pick("bracket"))
+    link = Markup('<span class="wv-link" {}>Take the bracket</span>').format(
+        html.command_pick("bracket", action="Plan saved")
+    )
     return html.note("attention", "One exposure leaves dark areas", f"{dark}: a bracket shows them.", link) + table
 
 

@@ -52,7 +52,9 @@ def _on_stage(snapshot: Snapshot) -> Markup:
     """Return a link that lays the grid over the sample on the stage; empty without an overview."""
     if snapshot.overview is None:
         return Markup()
-    link = Markup('<span class="wv-link" {}>Use the sample on the stage</span>').format(html.command_pick("cover"))
+    link = Markup('<span class="wv-link" {}>Use the sample on the stage</span>').format(
+        html.command_pick("cover", action="Plan saved")
+    )
     return Markup('<div class="wv-why">{}</div>').format(link)
 
 
@@ -140,14 +142,16 @@ def _price_row(price: Price, best_s: float, chosen: bool) -> Markup:
         return Markup('<tr class="off"><td colspan="4">{}<small>{}</small></td></tr>').format(name, why)
     ratio = price.predicted_s / best_s if best_s else 1.0
     cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]
-    return html.row(cells, " nnn", html.command_pick("strategy", price.strategy), "sel" if chosen else "")
+    return html.row(cells, " nnn", html.command_pick("strategy", price.strategy, "Plan saved"), "sel" if chosen else "")
 
 
 def _by_hand(strategy: str) -> Markup:
     """Return a link that undoes the manual choice of a strategy; empty if it is automatic."""
     if strategy == "auto":
         return Markup()
-    link = Markup('<span class="wv-link" {}>Use the fastest</span>').format(html.command_pick("strategy", "auto"))
+    link = Markup('<span class="wv-link" {}>Use the fastest</span>').format(
+        html.command_pick("strategy", "auto", "Plan saved")
+    )
     return Markup('<div class="wv-lab" style="padding:4px 6px">Chosen by hand. {}</div>').format(link)
 
 

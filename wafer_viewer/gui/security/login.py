@@ -12,21 +12,15 @@ import binascii
 import hashlib
 import http
 import logging
-import threading
-import time
-from collections import deque
-from collections.abc import Callable
 
 from markupsafe import Markup
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from wafer_viewer.session.core.attempt_limit import WINDOW_S, AttemptLimit
 from wafer_viewer.session.core.page_password import PasswordHash
 
 PATH = "/login"
-WINDOW_S = 60.0
-MOST_OF_ONE, MOST_OF_ALL = 5, 30
-"""Most attempts in the window, from one address and in all: with 12 characters nobody guesses the password."""
 _STYLE = (
     "body{font:16px system-ui,sans-serif;background:#16191d;color:#e6e9ec;display:grid;place-items:center;height:95vh}"
     "form{display:grid;gap:12px;width:300px}input,button{font:inherit;padding:8px}h1{font-size:20px;margin:0}"
@@ -72,32 +66,6 @@ POLICY = (
     f"default-src 'none'; script-src {_hash(_SCRIPT)}; style-src {_hash(_STYLE)}; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-
-
-class AttemptLimit:
-    """Limit of attempts in a sliding window, for each address and in all."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._attempts: deque[tuple[float, str]] = deque()
-        self._lock = threading.Lock()
-
-    def admit(self, address: str) -> bool:
-        """Return whether an address may try now, and count the attempt if so; refused ones do not count."""
-        with self._lock:
-            now = self._clock()
-            while self._attempts and now - self._attempts[0][0] >= WINDOW_S:
-                self._attempts.popleft()
-            of_one = sum(1 for _, other in self._attempts if other == address)
-            if of_one >= MOST_OF_ONE or len(self._attempts) >= MOST_OF_ALL:
-                return False
-            self._attempts.append((now, address))
-            return True
-
-    def forget(self, address: str) -> None:
-        """Forget the attempts of an address that knew the password."""
-        with self._lock:
-            self._attempts = deque(attempt for attempt in self._attempts if attempt[1] != address)
 
 
 class Login:

@@ -377,9 +377,8 @@ class Welcome:
         with self._panel.add_tab("Start"):
             add_html(gui, Markup('<div class="wv-card"></div>'))
             HtmlBlock(gui, _HEAD)
-            plan = command_button(
-                gui, "Plan a scan", viser.Icon.LAYOUT_GRID, guarded(page, "There is no plan")(lambda _: self._plan())
-            )
+            begin = guarded(page, "There is no plan")(lambda _: self._plan())
+            plan = command_button(gui, "Plan a scan", viser.Icon.LAYOUT_GRID, begin, action="Plan saved")
             leading(gui, plan, 46, sticky=False)
             outlined(
                 gui, command_button(gui, "Open a dataset…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page)), 42
@@ -397,7 +396,7 @@ class Welcome:
             return
         self._centre()
         link = Markup('<span class="wv-link" {}>Take the tour on the virtual rig</span>, {}').format(
-            html.command_pick("tour"), TOUR_TIME
+            html.command_pick("tour", action="Plan saved"), TOUR_TIME
         )
         link_or_wait = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
         tour = Markup("No sample at hand? &ensp;{}").format(link_or_wait) if snapshot.rig.simulated else Markup()

@@ -15,6 +15,8 @@ from viser import _assignable_props_api as api
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.error_guard import ErrorSink, guarded
 from wafer_viewer.gui.widgets.style import by_id
+from wafer_viewer.model.audit import Action
+from wafer_viewer.model.roles import role_for
 
 T = TypeVar("T")
 Gui = viser.GuiApi
@@ -133,12 +135,13 @@ def unbar(handle: Any) -> None:
             set_prop(handle, "disabled", own)
 
 
-def controlled(handle: Any) -> Any:
+def controlled(handle: Any, action: Action | None = None) -> Any:
     """Declare that a widget needs control: it moves the rig, or changes the plan, the dataset or the results.
 
-    viser's button groups cannot be disabled: the session refuses their commands.
+    action: what it does, if that needs a role. viser's button groups cannot be disabled: the session refuses their
+    commands.
     """
-    handle.needs_control = True
+    handle.needs_control, handle.needs_role = True, role_for(action)
     return handle
 
 
@@ -149,9 +152,16 @@ def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], dis
     return handle
 
 
-def command_button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
-    """Add a button that needs control."""
-    return controlled(button(gui, label, icon, on_click, disabled))
+def command_button(
+    gui: Gui,
+    label: str,
+    icon: Any,
+    on_click: Callable[[Any], None],
+    disabled: bool = False,
+    action: Action | None = None,
+) -> Any:
+    """Add a button that needs control; action: what it does, if that needs a role."""
+    return controlled(button(gui, label, icon, on_click, disabled), action)
 
 
 def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any = None) -> None:
@@ -194,12 +204,18 @@ class ToggleGroup:
     """A button group that highlights the selected option."""
 
     def __init__(
-        self, gui: Gui, label: str, options: Sequence[tuple[Any, str]], on_change: Callable[[Any], None]
+        self,
+        gui: Gui,
+        label: str,
+        options: Sequence[tuple[Any, str]],
+        on_change: Callable[[Any], None],
+        action: Action | None = None,
     ) -> None:
         self._keys = [key for key, _ in options]
         self._titles = [name for _, name in options]
         self._on_change = on_change
         self._mark = f"wv-choice-{id(self)}"
+        self._look = f"{self._mark} {html.FOR_ENGINEERS}" if role_for(action) == "engineer" else self._mark
         self._cell = HtmlBlock(gui, self._style(0), padded=False)
         group = gui.add_button_group(label, self._titles)
         group.on_click(self._click)
@@ -216,7 +232,7 @@ class ToggleGroup:
         rest = "height:28px!important;border-color:var(--line)!important;color:var(--ink)!important"
         this = "background:var(--accent)!important;color:var(--panel)!important;border-color:var(--accent)!important"
         rules = f"{group}{{{rest}}}{group}:nth-child({chosen + 1}){{{this}}}"
-        return Markup('<div class="{}"></div>{}').format(self._mark, html.style_sheet(rules))
+        return Markup('<div class="{}"></div>{}').format(self._look, html.style_sheet(rules))
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol
 
 from wafer_viewer.gui.widgets.html import Tone
-from wafer_viewer.model.errors import ControlHeldError, MotionStopped, WaferViewerError
+from wafer_viewer.model.errors import ControlHeldError, MotionStopped, RoleError, WaferViewerError
 from wafer_viewer.session.state.snapshot import Fault
 
 log = logging.getLogger("wafer_viewer.gui")
@@ -59,7 +59,7 @@ def tell_failure(page: ErrorSink, name: str, fault: BaseException) -> None:
     """Report a failure to the operator, with its own message if it is an expected error; cancellations are silent."""
     if isinstance(fault, CancelledError):
         return
-    if isinstance(fault, ControlHeldError):
+    if isinstance(fault, ControlHeldError | RoleError):
         page.say(name, str(fault), "attention")
         return
     if isinstance(fault, MotionStopped):

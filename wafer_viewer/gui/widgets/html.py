@@ -19,7 +19,9 @@ import viser._gui_handles
 import viser._icons
 from markupsafe import Markup
 
+from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import WaferViewerError, detail, parser_errors_as
+from wafer_viewer.model.roles import role_for
 
 _reading = threading.Lock()
 
@@ -110,9 +112,13 @@ NEEDS_CONTROL = "data-needs-control"
 """Attribute of elements that move the rig, or change the plan, the dataset or the results."""
 
 
-def command_pick(what: str, key: object = "") -> Markup:
-    """Return the attributes of `pick` for an element that needs control."""
-    return pick(what, key) + f" {NEEDS_CONTROL}"
+NEEDS_ENGINEER, FOR_ENGINEERS = "data-needs-engineer", "wv-for-engineers"
+"""Attribute of elements that only an engineer may use, and class of the mark before such a group of buttons."""
+
+
+def command_pick(what: str, key: object = "", action: Action | None = None) -> Markup:
+    """Return the attributes of `pick` for an element that needs control; action: what it does, if that needs a role."""
+    return pick(what, key) + f" {NEEDS_CONTROL}" + (f" {NEEDS_ENGINEER}" if role_for(action) == "engineer" else "")
 
 
 def title(text: str, below: str = "", detail: str = "") -> Markup:

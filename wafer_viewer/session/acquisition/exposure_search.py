@@ -39,7 +39,7 @@ def exposure_search(job: Job, plan: ScanPlan, numbers: Sequence[int] = ()) -> Fi
 
 def write_exposures(path: Path, exposures_us: tuple[float, ...]) -> None:
     """Change the exposures in the file of a plan; its comments and layout are kept."""
-    from wafer_viewer.session.planning.plan_editor import read_job
+    from wafer_viewer.session.planning.job_releases import read_job
     from wafer_viewer.store.io.atomic_files import write_text
 
     wanted, text = replace(read_job(path), exposures_us=exposures_us), path.read_text(encoding="utf-8")

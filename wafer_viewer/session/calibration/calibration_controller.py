@@ -106,9 +106,9 @@ class CalibrationController:
         Parameters
         ----------
         by : str
-            Name of the person who signs.
+            Name of the person who signs; where people are listed, the one who is signed in signs instead.
         why : str
-            Reason, or a remark.
+            Reason, or a remark; needed where people are listed.
 
         Returns
         -------
@@ -117,6 +117,8 @@ class CalibrationController:
 
         Raises
         ------
+        PlanError
+            Without a reason where people are listed.
         RigError
             Without a name or a result, during a scan, and if a value it sets has changed since it was measured.
         DatasetError
@@ -129,6 +131,8 @@ class CalibrationController:
             raise RigError("There is no result to keep: run a calibration first.")
         if now.scanning:
             raise RigError("A scan is running: keep the calibration when it has ended.")
+        now.control.require_reason(why)
+        by = now.control.author(by)
         before = self._in_force()
         if any(getattr(pending.base, name) != getattr(before, name) for name in pending.result.sets):
             raise RigError(

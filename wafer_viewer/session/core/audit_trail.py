@@ -50,22 +50,38 @@ class AuditTrail:
     def _record(self, by: str, through: Through, action: Action, detail: str, result: object) -> None:
         subject = _subject(self._command_queue.now, result)
         try:
-            record(self._folder, action, subject, detail, by=by, through=through)
+            record(self._folder, action, subject, detail, by=by, through=through, wrote=_written(result))
         except DatasetError as fault:
             self._notices.fault(NOT_WRITTEN, f"{action}, {subject}: {fault}", "other")
 
 
 def record(
-    folder: Path, action: Action, subject: str, detail: str = "", *, by: str = "", through: Through = "command line"
+    folder: Path,
+    action: Action,
+    subject: str,
+    detail: str = "",
+    *,
+    by: str = "",
+    through: Through = "command line",
+    wrote: Path | None = None,
 ) -> None:
-    """Append an action to the audit log of a data folder, now; by: the account of this process if empty.
+    """Append an action to the audit log of a data folder, now.
 
-    Raises DatasetError when the log was altered, or cannot be written.
+    by: the account of this process if empty; wrote: file that the action wrote, whose digest is recorded. Raises
+    DatasetError when the log was altered, or cannot be written.
     """
+    from wafer_viewer.store.io.checksums import file_sha256
     from wafer_viewer.store.records.audit_log import record_action
 
-    at = datetime.now(UTC).isoformat(timespec="seconds")
-    entry = AuditEntry(at=at, by=by or account(), through=through, action=action, subject=subject, detail=detail)
+    entry = AuditEntry(
+        at=datetime.now(UTC).isoformat(timespec="seconds"),
+        by=by or account(),
+        through=through,
+        action=action,
+        subject=subject,
+        detail=detail,
+        sha256="" if wrote is None else file_sha256(wrote),
+    )
     record_action(folder, entry)
 
 
@@ -80,6 +96,11 @@ def account() -> str:
 def _who(now: Snapshot) -> tuple[str, Through]:
     holder = now.control.name_of(now.control.holder)
     return (holder, "page") if holder else (account(), "Python")
+
+
+def _written(result: object) -> Path | None:
+    """Return the file that a command wrote; a dataset is a folder, whose manifest has its digests."""
+    return result if isinstance(result, Path) and result.is_file() else None
 
 
 def _subject(now: Snapshot, result: object) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
 from wafer_viewer.model.audit import Action
-from wafer_viewer.model.errors import ControlHeldError
+from wafer_viewer.model.errors import ControlHeldError, RoleError, WaferViewerError
 from wafer_viewer.session.core.command_queue import CommandQueue
 
 
@@ -56,7 +56,12 @@ class SessionCommand(Generic[C, P, R, T]):
         return self if controller is None else BoundCommand(self, controller)
 
     def __call__(self, controller: C, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Submit the command to the queue of its controller; an action of the audit log is recorded."""
+        """Submit the command to the queue of its controller; an action of the audit log is recorded.
+
+        It is refused if the role of the holder of the controls does not allow the action.
+        """
+        if self.action is not None and (why := _role_refusal(controller, self.action)) is not None:
+            return _refused(RoleError(why))
         outcome = controller._command_queue.do(self.method, controller, *args, **kwargs)
         if self.action is not None:
             controller._command_queue.audit(self.action, _words_of(self.method, args, kwargs), outcome)
@@ -155,7 +160,7 @@ def restricted_session(session: S, key: Callable[[], str]) -> S:
     browsers that only watch.
     """
     everything: Any = session
-    return cast("S", _RestrictedView(everything, lambda: everything.snapshot.control.why_not(key())))
+    return cast("S", _RestrictedView(everything, lambda: everything.snapshot.control.why_only_watching(key())))
 
 
 class _RestrictedView:
@@ -175,7 +180,7 @@ class _RestrictedView:
     def _require_control(self, method: Callable[..., Any]) -> Callable[..., Any]:
         def submit(*args: Any, **kwargs: Any) -> Any:
             why = self._why_not()
-            return method(*args, **kwargs) if why is None else _refused(why)
+            return method(*args, **kwargs) if why is None else _refused(ControlHeldError(why))
 
         return submit
 
@@ -184,7 +189,11 @@ def _is_group(member: object) -> bool:
     return type(member).__module__.startswith("wafer_viewer.session.") and not is_dataclass(member)
 
 
-def _refused(why: str) -> Future[Any]:
+def _role_refusal(controller: Controller, action: Action) -> str | None:
+    return controller._command_queue.snapshot.control.refusal(action)
+
+
+def _refused(why: WaferViewerError) -> Future[Any]:
     refusal: Future[Any] = Future()
-    refusal.set_exception(ControlHeldError(f"{why} Ask for them first: you are only watching."))
+    refusal.set_exception(why)
     return refusal

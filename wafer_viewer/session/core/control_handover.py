@@ -9,19 +9,23 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.roles import Person
+from wafer_viewer.session.core.attempt_limit import WINDOW_S, AttemptLimit
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
+from wafer_viewer.session.core.people import engineers_of, listed_people, signed_in, tidy_name
 from wafer_viewer.session.state.snapshot import Browser, ControlState
 
 ANSWER_S = 15.0
 """Time in seconds in which the holder can answer a request; after that, control passes to the requester."""
 GRACE_S = 20.0
 """Time in seconds in which a disconnected browser can return; a reload takes seconds, on a busy machine many."""
-LONGEST_NAME = 40
 Later = Callable[[float, Callable[[], None]], Callable[[], None]]
 """Function that schedules a call after a number of seconds and returns a function that cancels it."""
 
@@ -42,10 +46,22 @@ class Control:
 
     def __init__(self, command_queue: CommandQueue, later: Later = after) -> None:
         self._command_queue, self._later = command_queue, later
+        self._limit = AttemptLimit()
+        self._verifier = ThreadPoolExecutor(1, thread_name_prefix="sign-in")  # an attempt costs 128 MB and some 0.1 s
         self._windows: Counter[str] = Counter()
         self._expected: dict[str, Callable[[], None]] = {}
         self._waiting: Callable[[], None] | None = None
         self._came = 0
+
+    @property
+    def _folder(self) -> Path:
+        return self._command_queue.now.data_folder
+
+    def _free(self, name: str) -> str:
+        """Return a name that a browser may give itself; empty for that of a listed person, who has to sign in."""
+        tidy = tidy_name(name)
+        listed = {person.name.casefold() for person in listed_people(self._folder)}
+        return "" if tidy.casefold() in listed else tidy
 
     @property
     def _control(self) -> ControlState:
@@ -58,12 +74,13 @@ class Control:
     def arrive(self, key: str, name: str = "") -> None:
         """Register a new window of a browser; the very first browser gets control."""
         self._windows[key] += 1
+        self._show(engineers=engineers_of(listed_people(self._folder)))
         if (call_off := self._expected.pop(key, None)) is not None:
             call_off()
         browser = self._control.browser(key)
         if browser is None:
             self._came += 1
-            browser = Browser(key, _tidy(name) or f"Browser {self._came}")
+            browser = Browser(key, self._free(name) or f"Browser {self._came}")
         self._put(replace(browser, present=True))
         if self._control.holder is None and len(self._control.browsers) == 1:
             self._pass_to(key)
@@ -100,10 +117,39 @@ class Control:
 
     @observer_command
     def rename(self, key: str, name: str) -> None:
-        """Change the name of a browser."""
+        """Change the name of a browser at which nobody is signed in."""
         browser = self._control.browser(key)
-        if browser is not None and _tidy(name):
-            self._put(replace(browser, name=_tidy(name)))
+        if browser is not None and browser.role is None and self._free(name):
+            self._put(replace(browser, name=self._free(name)))
+
+    @observer_command
+    def sign_in(self, key: str, name: str, password: str) -> Future[Person]:
+        """Sign a listed person in at a browser: it has the name and the role of the person from then on.
+
+        The future fails with WaferViewerError if name or password are wrong, or after too many attempts.
+        """
+        if self._control.browser(key) is None:
+            raise WaferViewerError("That browser has disconnected: nobody was signed in.")
+        if not listed_people(self._folder):
+            raise WaferViewerError("Nobody is listed here, and everyone is an engineer: wafer-viewer people add NAME.")
+        if not self._limit.admit(key):
+            raise WaferViewerError(f"Too many attempts: try again in {WINDOW_S:.0f} s.")
+        verified = self._verifier.submit(signed_in, self._folder, name, password)
+        return self._command_queue.then(verified, lambda person: self._signed_in(key, person))
+
+    def _signed_in(self, key: str, person: Person) -> Person:
+        self._limit.forget(key)
+        if (browser := self._control.browser(key)) is not None:
+            self._put(replace(browser, name=person.name, role=person.role))
+        self._show(engineers=engineers_of(listed_people(self._folder)))
+        return person
+
+    @observer_command
+    def sign_out(self, key: str) -> None:
+        """Sign out the person at a browser; control stays where it is, and its commands wait for the next person."""
+        if (browser := self._control.browser(key)) is not None and browser.role is not None:
+            number = 1 + self._control.browsers.index(browser)
+            self._put(replace(browser, name=f"Browser {number}", role=None))
 
     @observer_command
     def ask(self, key: str) -> None:
@@ -164,7 +210,3 @@ class Control:
             self._show(browsers=(*others, browser))
         else:
             self._show(browsers=tuple(browser if b.key == browser.key else b for b in others))
-
-
-def _tidy(name: str) -> str:
-    return " ".join(name.split())[:LONGEST_NAME]

@@ -46,6 +46,17 @@ class PasswordHash:
         salt = secrets.token_bytes(_SALT_BYTES)
         return cls(salt, _digest(password, salt))
 
+    @classmethod
+    def read(cls, text: str) -> PasswordHash | None:
+        """Return the hash of a stored text; None if it is none."""
+        found = _STORED.fullmatch(text)
+        return None if found is None else cls(*(bytes.fromhex(part) for part in found.groups()))
+
+    @property
+    def text(self) -> str:
+        """The hash as it is stored."""
+        return f"{_METHOD} {self.salt.hex()} {self.digest.hex()}"
+
     def matches(self, password: str) -> bool:
         """Return whether a password is the right one; the time does not depend on how much of it is right."""
         return hmac.compare_digest(_digest(password[: MOST_CHARACTERS + 1], self.salt), self.digest)
@@ -59,10 +70,10 @@ def stored_password(folder: Path) -> PasswordHash | None:
     path = folder / KEPT_IN / NAME
     if not (path.exists() or path.is_symlink()):
         return None
-    found = _STORED.fullmatch(read_private(path, _MEND))
+    found = PasswordHash.read(read_private(path, _MEND))
     if found is None:
         raise DatasetError(f"{path} holds no hash of a password: {_MEND}")
-    return PasswordHash(*(bytes.fromhex(part) for part in found.groups()))
+    return found
 
 
 def store_password(folder: Path, password: str) -> PasswordHash:
@@ -73,7 +84,7 @@ def store_password(folder: Path, password: str) -> PasswordHash:
     hashed, path = PasswordHash.of(password), folder / KEPT_IN / NAME
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        replace_private(path, f"{_METHOD} {hashed.salt.hex()} {hashed.digest.hex()}\n")
+        replace_private(path, f"{hashed.text}\n")
     except OSError as fault:
         raise DatasetError(f"{path} cannot be written ({fault.strerror}): give --password-file FILE.") from fault
     return hashed

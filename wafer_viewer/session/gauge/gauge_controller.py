@@ -134,6 +134,7 @@ class GaugeController:
             raise MeasureError(f"{shown.name} is not a repeat of this check: open one of its scans to sign it.")
         if shown.read_only is not None:
             raise MeasureError(f"The check cannot be kept: {shown.read_only}")
+        operator = self._command_queue.now.control.author(operator)
         check = work.signed(state.check, operator, state.records)
         record = work.record_of(check, self._library.dataset.scan.rig, self._library.result_name)
         sign(self._folder, record)
@@ -153,7 +154,9 @@ class GaugeController:
             raise MeasureError(f"The check is of {record.rig or 'no rig'} and {rig.name} is here: correct it there.")
         if self._command_queue.now.scanning:
             raise MeasureError("A scan is running: correct the z scale when it has ended.")
-        after = correct(self._folder, record, rig.calibration, operator, why).calibration
+        control = self._command_queue.now.control
+        control.require_reason(why)
+        after = correct(self._folder, record, rig.calibration, control.author(operator), why).calibration
         self._command_queue.change(rig=replace(rig, calibration=after))
         self._show()
         return after

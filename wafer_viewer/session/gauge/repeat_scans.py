@@ -14,7 +14,7 @@ from wafer_viewer.model.measurement.feature import Die, Feature
 from wafer_viewer.model.quantity import Quantity, Unit
 from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
-from wafer_viewer.session.planning.plan_editor import read_job
+from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.planning.revision_trial import datasets_of, judged_places
 from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.store.dataset.dataset import Dataset

@@ -77,7 +77,7 @@ class GivenDies:
 
     def _of_file(self, dataset_job: Job | None) -> DieGrid:
         """Return the dies of the job file, with the wafer alignment of the scan's own job if the file has none."""
-        from wafer_viewer.session.planning.plan_editor import read_job
+        from wafer_viewer.session.planning.job_releases import read_job
 
         path = self.job or Path()
         job = read_job(path)

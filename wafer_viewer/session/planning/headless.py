@@ -11,8 +11,7 @@ from wafer_viewer.model.job import Job, Trial, WaferVerdict
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import load_summary
-from wafer_viewer.session.planning.job_releases import for_next_wafer, free_place, prepared, released, revised
-from wafer_viewer.session.planning.plan_editor import read_job
+from wafer_viewer.session.planning.job_releases import for_next_wafer, free_place, prepared, read_job, released, revised
 from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
 from wafer_viewer.session.planning.verdicts import verdict_of
 from wafer_viewer.store.dataset.dataset import Dataset

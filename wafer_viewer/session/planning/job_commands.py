@@ -48,8 +48,12 @@ class JobController:
         )
 
     @command.audited("Job released")
-    def release(self) -> Path:
-        """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface."""
+    def release(self, why: str = "") -> Path:
+        """Release the plan under its product and revision; ``auto`` gets the values resolved for the open surface.
+
+        why: reason, which is needed where people are listed. Raises PlanError with the missing parts.
+        """
+        self._command_queue.now.control.require_reason(why)
         path = self._plan_editor.release(*settled_by(self._command_queue.now))
         self.refresh.run()
         return path

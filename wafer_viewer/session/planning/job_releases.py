@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from wafer_viewer.model.acquisition.plan import ScanPlan
-from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.audit import AuditEntry
+from wafer_viewer.model.errors import DatasetError, PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.state.snapshot import JobEntry
+from wafer_viewer.store.io.checksums import file_sha256
 from wafer_viewer.store.io.guarded_reading import read_content
+from wafer_viewer.store.records.audit_log import recorded_actions
 
 FOLDER, ENDING = "jobs", ".toml"
 OF_ONE_WAFER = {"name": "", "lot": "", "wafer_id": "", "slot": 0, "operator": ""}
@@ -90,6 +93,47 @@ def require_as_released(before: Job | None, after: Job | None) -> None:
         )
 
 
+def release_problem(folder: Path, job: Job) -> str | None:
+    """Return why a job is not as somebody released it in the data folder, by the signed entry of that; None if it is.
+
+    Raises DatasetError when the audit log was altered.
+    """
+    path = _place(folder, job)
+    entry = _releases(folder).get(path.name)
+    if entry is None or not path.is_file():
+        return f"{job.product or 'The plan'} {job.revision}".strip() + f" was not released in {folder}."
+    if entry.sha256 != file_sha256(path):
+        return f"{path.name} was edited after {entry.by} released it on {entry.at[:10]}."
+    if prepared(read_job(path)) != prepared(job):
+        return f"The plan is not {job.product} {job.revision} as {entry.by} released it on {entry.at[:10]}."
+    return None
+
+
+def require_released(folder: Path, job: Job, who: str) -> None:
+    """Raise RoleError if an operator may not run a job, because it is not as it was released."""
+    why = release_problem(folder, job) if job.released else "This plan is not released."
+    if why is not None:
+        raise RoleError(f"{why} Operators run released jobs only: have an engineer release it. {who}")
+
+
+def as_on_disk(folder: Path, path: Path, job: Job) -> Job:
+    """Return a job that was read from a file; it is a plan again if the file is not the one that was released."""
+    if job.released and path.absolute().parent == (folder / FOLDER).absolute() and _is_edited(path, _releases(folder)):
+        return replace(job, released=False)
+    return job
+
+
+def _releases(folder: Path) -> dict[str, AuditEntry]:
+    """Return the last entry of a release for each file."""
+    return {entry.subject: entry for entry in recorded_actions(folder) if entry.action == "Job released"}
+
+
+def _is_edited(path: Path, releases: dict[str, AuditEntry]) -> bool:
+    """Return whether a file is not the one that was released; releases of earlier versions have no digest."""
+    entry = releases.get(path.name)
+    return entry is not None and bool(entry.sha256) and entry.sha256 != file_sha256(path)
+
+
 def write_released(folder: Path, job: Job) -> Path:
     """Write a released job under its product and revision. Raises PlanError if that revision exists."""
     from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, write_text
@@ -103,7 +147,7 @@ def write_released(folder: Path, job: Job) -> Path:
 
 def free_place(folder: Path, job: Job) -> Path:
     """Return the path of a job after its release. Raises PlanError if that revision exists."""
-    path = folder / FOLDER / f"{_plain(job.product)}-{_plain(job.revision)}{ENDING}"
+    path = _place(folder, job)
     if path.exists():
         raise PlanError(
             f"Revision {job.revision} of {job.product} is released already ({path.name}): choose another revision."
@@ -111,10 +155,21 @@ def free_place(folder: Path, job: Job) -> Path:
     return path
 
 
+def _place(folder: Path, job: Job) -> Path:
+    return folder / FOLDER / f"{_plain(job.product)}-{_plain(job.revision)}{ENDING}"
+
+
 def list_released(folder: Path) -> tuple[JobEntry, ...]:
-    """Return the released jobs of the data folder, by product, the newest revision first."""
+    """Return the released jobs of the data folder, by product, the newest revision first.
+
+    Those whose file was edited since are marked; that is not known when the audit log was altered.
+    """
+    try:
+        releases = _releases(folder)
+    except DatasetError:  # told when the log is looked at, and when an operator starts a scan
+        releases = dict[str, AuditEntry]()
     paths = (folder / FOLDER).glob(f"*{ENDING}")
-    entries = [entry for path in paths if (entry := _entry(path)) is not None]
+    entries = [entry for path in paths if (entry := _entry(path, releases)) is not None]
     newest_first = sorted(entries, key=lambda e: e.revision, reverse=True)
     return tuple(sorted(newest_first, key=lambda e: e.product.casefold()))
 
@@ -142,13 +197,20 @@ def _stitching(stitching: Stitching, plan: ScanPlan, errors_um: tuple[float, flo
     return replace(stitching, **{name: value for name, value in found.items() if getattr(stitching, name) == "auto"})
 
 
-def _entry(path: Path) -> JobEntry | None:
+def _entry(path: Path, releases: dict[str, AuditEntry]) -> JobEntry | None:
     """Return a list entry; None for a file that is no released job."""
     try:
-        job = decode(read_content(path), Job, path.name)
+        job = read_job(path)
     except WaferViewerError:
         return None
-    return JobEntry(path, job.product, job.revision, len(job.all_fields()), len(job.features)) if job.released else None
+    edited = _is_edited(path, releases)
+    entry = JobEntry(path, job.product, job.revision, len(job.all_fields()), len(job.features), edited)
+    return entry if job.released or edited else None
+
+
+def read_job(path: Path) -> Job:
+    """Return the job in a file. Raises PlanError when it cannot be read or is invalid."""
+    return decode(read_content(path, PlanError), Job, path.name)
 
 
 def _plain(name: str) -> str:

@@ -13,15 +13,22 @@ from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, CoarseLook, FieldFocus
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.errors import PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import CommandQueue, UndoHistory
 from wafer_viewer.session.core.commands import command
-from wafer_viewer.session.planning.job_releases import as_released, for_next_wafer, require_as_released, write_released
+from wafer_viewer.session.planning.job_releases import (
+    as_on_disk,
+    as_released,
+    for_next_wafer,
+    read_job,
+    require_as_released,
+    require_released,
+    write_released,
+)
 from wafer_viewer.session.state.snapshot import Draft, MarkedPositions, Place, Typed
-from wafer_viewer.store.io.guarded_reading import read_content
 
 if TYPE_CHECKING:
     from wafer_viewer.acquire.coarse_look import LookForFocus
@@ -55,13 +62,26 @@ class PlanEditor:
     def edit(self, job: Job | None) -> None:
         """Set the plan; its scan time and size are calculated at once.
 
-        None clears it. Raises PlanError if that changes a released job.
+        None clears it. Raises PlanError if that changes a released job, RoleError if an operator changes a plan.
         """
         before = self._jobs.value
+        if job is not None and not (job.released and before is not None and before.released):
+            self._require_engineer()
         require_as_released(before, job)
         if job is not None and before is not None and before.alignment == job.alignment and _another(before, job):
             job = replace(job, alignment=None)
         self._put(job)
+
+    def _require_engineer(self) -> None:
+        """Raise RoleError if the holder of the controls may not change plans."""
+        if (why := self._command_queue.now.control.refusal("Plan saved")) is not None:
+            raise RoleError(why)
+
+    def require_runnable(self, job: Job) -> None:
+        """Raise RoleError if the holder of the controls is an operator, and the job is not as it was released."""
+        control = self._command_queue.now.control
+        if control.refusal("Job released") is not None:
+            require_released(self._folder, job, f"{control.name_of(control.holder)} is signed in as operator.")
 
     def reopen(self, job: Job | None, typed: Typed | None = None) -> None:
         """Restore the plan of the last run; the sample has to be confirmed before a scan.
@@ -124,6 +144,7 @@ class PlanEditor:
     @command
     def copy(self) -> None:
         """Copy a released job to an editable plan for another revision."""
+        self._require_engineer()
         self._put(replace(self._job(), released=False, revision="", alignment=None))
 
     def release(self, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Path:
@@ -215,12 +236,18 @@ class PlanEditor:
             raise PlanError(
                 "The tour needs a virtual rig that answers: wait until it has started, or serve without --rig."
             )
+        self._require_engineer()
         self._take_up(self.tour)
 
     @command
     def load(self, path: Path) -> None:
-        """Read a job from PLAN.toml."""
-        self._take_up(read_job(Path(path)))
+        """Read a job from PLAN.toml; one that was edited since its release is a plan again.
+
+        Raises RoleError if an operator loads what is not released.
+        """
+        job = as_on_disk(self._folder, Path(path), read_job(Path(path)))
+        self.require_runnable(job)
+        self._take_up(job)
 
     @command.audited("Plan saved")
     def save(self, path: Path | None = None) -> Path:
@@ -285,11 +312,6 @@ def covering_grid(grid: FieldGrid, center_um: Place, size_um: tuple[float, float
         center_x_um=center_um[0],
         center_y_um=center_um[1],
     )
-
-
-def read_job(path: Path) -> Job:
-    """Return the job in a PLAN.toml. Raises PlanError when it cannot be read or is invalid."""
-    return decode(read_content(path, PlanError), Job, path.name)
 
 
 def suggested_name(job: Job) -> str:

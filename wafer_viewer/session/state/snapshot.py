@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -15,9 +16,11 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan, Shot
 from wafer_viewer.model.acquisition.positioners import PositionerState
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job import Job, Notebook, Trial, WaferVerdict
+from wafer_viewer.model.roles import Role, refusal
 from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.state.calibration_state import CalibrationState
@@ -39,13 +42,25 @@ class Compared:
     outdated: bool = False
 
 
+NOT_SIGNED_IN = "Nobody is signed in at this browser: sign in first, in the list of browsers."
+
+
 @dataclass(frozen=True, slots=True)
 class Browser:
-    """Connected browser with its name. present: False while its return is expected, as after a reload."""
+    """Connected browser with its name, and the role of the person who signed in at it, None without one.
+
+    present: False while its return is expected, as after a reload.
+    """
 
     key: str
     name: str
     present: bool = True
+    role: Role | None = None
+
+    @property
+    def public_id(self) -> str:
+        """Name of the browser on the pages of others: who has its key has its role."""
+        return hashlib.sha256(self.key.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +68,8 @@ class ControlState:
     """Connected browsers, and the holder and requester of control.
 
     browsers: in order of arrival. holder, requester: keys, None for nobody. requested_at: clock time in s of the
-    request, after which the holder has `answer_s` to refuse it. refused: key of the last refused requester.
+    request, after which the holder has `answer_s` to refuse it. refused: key of the last refused requester. engineers:
+    names of those who are listed; if nobody is, everyone is an engineer.
     """
 
     browsers: tuple[Browser, ...] = ()
@@ -62,6 +78,7 @@ class ControlState:
     requested_at: float = 0.0
     answer_s: float = 0.0
     refused: str | None = None
+    engineers: tuple[str, ...] = ()
 
     def browser(self, key: str | None) -> Browser | None:
         """Return the browser with a key; None if it is not connected."""
@@ -83,6 +100,40 @@ class ControlState:
         name = self.name_of(self.holder)
         return f"{name} holds the controls." if name else "Nobody holds the controls."
 
+    def role_of(self, key: str | None) -> Role | None:
+        """Return the role of a browser; None where people are listed and nobody signed in at it."""
+        if not self.engineers:
+            return "engineer"
+        found = self.browser(key)
+        return found.role if found is not None else None
+
+    def is_signed_in(self, key: str) -> bool:
+        """Return whether a listed person signed in at a browser."""
+        found = self.browser(key)
+        return found is not None and found.role is not None
+
+    def author(self, name: str) -> str:
+        """Return who signs: the person who is signed in and holds the controls, else who is named."""
+        return self.name_of(self.holder) if self.holder and self.is_signed_in(self.holder) else name
+
+    def require_reason(self, why: str) -> None:
+        """Raise PlanError if people are listed and a change has no reason."""
+        if self.engineers and not why.strip():
+            raise PlanError("This has no reason: say what it is for, or what changed.")
+
+    def why_only_watching(self, key: str) -> str | None:
+        """Return why a browser may give no command that needs control; None if it may."""
+        if (why := self.why_not(key)) is not None:
+            return f"{why} Ask for them first: you are only watching."
+        return NOT_SIGNED_IN if self.role_of(key) is None else None
+
+    def refusal(self, action: Action) -> str | None:
+        """Return why the holder of the controls may not do an action; None if allowed, or if nobody holds them."""
+        role = self.role_of(self.holder)
+        if self.holder is None or role is None:
+            return None
+        return refusal(action, self.name_of(self.holder), role, self.engineers)
+
 
 @dataclass(frozen=True, slots=True)
 class JobEntry:
@@ -93,6 +144,8 @@ class JobEntry:
     revision: str
     n_fields: int
     n_features: int
+    edited: bool = False
+    """True if its file is not the one that was released."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ A torn last line, as after a power failure, is ignored and truncated before the 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -292,6 +293,12 @@ def _compared(digits: bytes, crc: int) -> Checksum:
 
 
 # ------------------------------------------------------------------------------------------------ what to do about it
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a small file, hex. Raises DatasetError when it cannot be read."""
+    with os_errors_as_dataset_errors(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def damaged(path: Path) -> DatasetError:

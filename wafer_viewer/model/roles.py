@@ -1,0 +1,64 @@
+"""Roles of people at a station: operators run released jobs, engineers change what is run and judged by.
+
+Where nobody is listed, everyone at the station is an engineer.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from wafer_viewer.model.audit import Action
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.spec import Spec
+
+Role = Literal["operator", "engineer"]
+NEED_ENGINEER: dict[Action, str] = {
+    "Plan saved": "changes plans and jobs",
+    "Job released": "releases jobs",
+    "Scale of z corrected": "changes calibrations",
+    "Calibration accepted": "changes calibrations",
+    "Finding judged": "changes verdicts",
+    "Judgement of findings undone": "changes verdicts",
+    "Judgement of findings redone": "changes verdicts",
+    "Defects judged": "changes verdicts",
+    "Defect limits changed": "changes verdicts",
+    "Change of defects undone": "changes verdicts",
+    "Change of defects redone": "changes verdicts",
+    "Defect recipe saved": "changes recipes",
+    "Defect recipe deleted": "changes recipes",
+    "Golden die kept": "changes recipes",
+    "Person added": "changes the list of people",
+    "Person removed": "changes the list of people",
+}
+"""Actions of engineers only, each with what it is, as a refusal names it; all others are for operators as well."""
+
+
+class Person(Spec, frozen=True, kw_only=True):
+    """Person who may sign in. password: its salted hash."""
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    name: str
+    role: Role
+    password: str
+
+
+def role_for(action: Action | None) -> Role:
+    """Return the role that an action needs."""
+    return "engineer" if action in NEED_ENGINEER else "operator"
+
+
+def may(role: Role, needed: Role) -> bool:
+    """Return whether somebody in a role may do what needs a role; engineers may do everything."""
+    return role == "engineer" or needed == "operator"
+
+
+def refusal(action: Action, name: str, role: Role, engineers: tuple[str, ...]) -> str | None:
+    """Return why somebody may not do an action, with the rule and who may; None if allowed."""
+    if may(role, role_for(action)):
+        return None
+    return f"{rule(NEED_ENGINEER[action], engineers)} {name} is signed in as {role}."
+
+
+def rule(what: str, engineers: tuple[str, ...]) -> str:
+    """Return the rule that only engineers do something, with their names."""
+    return f"Only an engineer {what}: {' or '.join(engineers)}."
