@@ -187,6 +187,10 @@ def _without_checksum(title: str) -> str:
 def print_check(data: Dataset, report: CheckReport) -> None:
     """Print the number of good frames, and the missing and damaged ones."""
     print(f"{data.path}: {report.n_good} frames good, {len(report.missing)} missing, {len(report.damaged)} damaged")
+    if data.removed is not None:
+        print(f"  {data.removed.sentence(data.path.name)} {report.n_removed} files; none of them is lost.")
+    if data.held is not None:
+        print(f"  held by {data.held.by} since {data.held.time[:10]}: {data.held.why}")
     for what, shots in (("missing", report.missing), ("damaged", report.damaged)):
         for shot in shots[:NAMED]:
             print(f"  {what}: field {shot.field}, frame {shot.k}, exposure {shot.exposure}")

@@ -36,6 +36,9 @@ Action = Literal[
     "Defect recipe saved",
     "Defect recipe deleted",
     "Golden die kept",
+    "Frames held",
+    "Hold ended",
+    "Frames removed",
     "Person added",
     "Person removed",
 ]

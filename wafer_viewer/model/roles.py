@@ -27,6 +27,8 @@ NEED_ENGINEER: dict[Action, str] = {
     "Defect recipe saved": "changes recipes",
     "Defect recipe deleted": "changes recipes",
     "Golden die kept": "changes recipes",
+    "Hold ended": "ends a hold",
+    "Frames removed": "removes frames",
     "Person added": "changes the list of people",
     "Person removed": "changes the list of people",
 }

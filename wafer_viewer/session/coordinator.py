@@ -23,7 +23,7 @@ from wafer_viewer.session.acquisition.live_controller import LiveController
 from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
 from wafer_viewer.session.calibration.calibration_controller import CalibrationController
-from wafer_viewer.session.core.audit_trail import AuditTrail
+from wafer_viewer.session.core.audit_trail import AuditTrail, account
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
@@ -281,6 +281,24 @@ class SessionCoordinator:
         self.library.release_lock()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
+    @command.audited("Frames held")
+    def hold_frames(self, why: str) -> None:
+        """Keep the frames of the open dataset, however old they are; why: reason, which is recorded."""
+        from wafer_viewer.store.dataset.retention import hold_line
+
+        self.library.append(hold_line(self.library.dataset, self._author(), why))
+
+    @command.audited("Hold ended")
+    def end_hold(self, why: str) -> None:
+        """End the hold of the open dataset; why: reason, which is recorded."""
+        from wafer_viewer.store.dataset.retention import hold_end_line
+
+        self.library.append(hold_end_line(self.library.dataset, self._author(), why))
+
+    def _author(self) -> str:
+        control = self.command_queue.now.control
+        return control.name_of(control.holder) or account()
+
     @observer_command.audited("Scan stopped")
     def stop_scan(self) -> Future[None]:
         """End the scan; the future is done when the rig is at rest, at once without a scan.
@@ -314,6 +332,7 @@ class SessionCoordinator:
         shown = self.library.shown
         if not shown.fields:
             raise DatasetError(f"{shown.name} is a surface without frames: there is nothing to reconstruct.")
+        self.library.dataset.require_frames("Nothing can be reconstructed")
         if recipe not in (None, shown.job.recipe) and (why := self.command_queue.now.control.refusal("Plan saved")):
             raise RoleError(why)
         if shown.read_only is not None:

@@ -118,6 +118,8 @@ class Session:
     refresh_datasets = _library(Library.refresh)
     open_dataset = _session(SessionCoordinator.open)
     close_dataset = _session(SessionCoordinator.close_dataset)
+    hold_frames = _session(SessionCoordinator.hold_frames)
+    end_hold = _session(SessionCoordinator.end_hold)
     check_frames = _frame_check(FrameCheck.check)
     import_images = _files(FileJobs.import_images)
     export_surface = _files(FileJobs.export_surface)

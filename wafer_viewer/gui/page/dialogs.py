@@ -19,6 +19,9 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.state.snapshot import DatasetEntry
 
+HOLD_S = 30.0
+"""Longest time to sign the record of a large dataset, s."""
+
 
 class KeepOpen(Exception):
     """Raised by a dialog's action to keep the dialog open: it showed a folder, or opened another dialog first."""
@@ -118,7 +121,10 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
             if signs
             else Markup()
         )
-        name = Markup('<span class="wv-cut" title="{}">{}</span>{}').format(entry.path, entry.path.stem, marks)
+        frames = Markup("<small>{}</small>").format(entry.frames) if entry.frames else Markup()
+        name = Markup('<span class="wv-cut" title="{}">{}</span>{}{}').format(
+            entry.path, entry.path.stem, marks, frames
+        )
         look = "sel" if entry.path == opened else ""
         return html.row(
             [name, format_time(entry.taken, datetime.now().astimezone())],
@@ -141,6 +147,26 @@ def format_time(taken: str, now: datetime) -> str:
     if moment.date() == (now - timedelta(days=1)).date():
         return f"yesterday {moment:%H:%M}"
     return f"{moment.day} {moment:%b}" + (f" {moment.year}" if moment.year != now.year else "")
+
+
+def hold_dialog(page: Page, *, end: bool) -> None:
+    """Ask for the reason of a hold of the open dataset, or of its end."""
+    title = "End the hold" if end else "Hold the frames"
+    below = (
+        "The frames may be removed again once they are old enough."
+        if end
+        else "They are not removed, however old they are, until somebody ends the hold."
+    )
+    failed = "The hold was not ended" if end else "The frames are not held"
+    dialog = Dialog(page, title, below)
+    with dialog.modal:
+        why = page.gui.add_text("Reason", "")
+
+    def change() -> None:
+        verb = page.session.end_hold if end else page.session.hold_frames
+        verb(why.value).result(HOLD_S)
+
+    dialog.answers(title, viser.Icon.LOCK_OPEN if end else viser.Icon.LOCK, change, failed)
 
 
 def confirm_overwrite(page: Page, path: Path, write: Callable[[], None]) -> None:

@@ -34,7 +34,7 @@ from wafer_viewer.gui.gauge.gauge_displays import GaugeList
 from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
 from wafer_viewer.gui.live.live_places import LivePlaces
 from wafer_viewer.gui.measure.result_list import ResultList
-from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, open_dataset
+from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
 from wafer_viewer.gui.page.import_export_dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
@@ -49,6 +49,7 @@ from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.session.core.dataset_library import REMOVED
 from wafer_viewer.session.rendering.render_request import Brushed
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
@@ -289,6 +290,8 @@ class LeftPanel:
         panel.set_width(LEFT_PX)
         page.on_pick("open", lambda path: open_dataset(page, Path(path)))
         page.on_pick("cancel", page.session.cancel)
+        page.on_pick("hold", lambda _: hold_dialog(page, end=False))
+        page.on_pick("hold-end", lambda _: hold_dialog(page, end=True))
 
     @property
     def with_commands(self) -> tuple[CompareSection, DefectSection, DefectMap]:
@@ -325,6 +328,7 @@ class LeftPanel:
             )
             self._find.on_update(guarded(page, "The search failed")(lambda _: self._show_datasets()))
             self._list = HtmlBlock(page.gui)
+            self._frames = HtmlBlock(page.gui)
             opener = command_button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
             importer = command_button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
             in_a_row(page.gui, [opener, importer])
@@ -335,6 +339,7 @@ class LeftPanel:
         self._datasets_head.show(html.head("Datasets", _shortened(snapshot.data_folder)))
         set_prop(self._find, "visible", len(snapshot.datasets) >= MANY_DATASETS or bool(self._find.value))
         self._list.show(_dataset_rows(snapshot, self._find.value))
+        self._frames.show(frames_card(snapshot))
 
 
 def _dataset_rows(snapshot: Snapshot, words: str) -> Markup:
@@ -347,6 +352,25 @@ def _dataset_rows(snapshot: Snapshot, words: str) -> Markup:
         return html.empty(f"None of {len(snapshot.datasets)} datasets has all of “{words}”.")
     opened = snapshot.dataset.path if snapshot.dataset else None
     return dataset_table(found, opened, "open") + Markup('<div style="height:6px"></div>')
+
+
+def frames_card(snapshot: Snapshot) -> Markup:
+    """Return how long the frames of the open dataset are kept, with the link that holds them or ends the hold."""
+    data = snapshot.dataset
+    entry = next((one for one in snapshot.datasets if data is not None and one.path == data.path), None)
+    if data is None or entry is None or not data.fields or not data.finished:
+        return Markup()
+    told, link = entry.frames or "frames kept for ever", Markup()
+    if data.held:
+        told = f"held by {data.held}"
+        link = Markup('<span class="wv-link" {}>End hold…</span>').format(
+            html.command_pick("hold-end", action="Hold ended")
+        )
+    elif entry.frames != REMOVED and data.read_only is None:
+        link = Markup('<span class="wv-link" {}>Hold…</span>').format(html.command_pick("hold"))
+    return Markup('<div class="wv-lab" style="padding:0 6px 8px"><b>{}</b>: {} {}</div>').format(
+        data.path.stem, told, link
+    )
 
 
 def _shortened(folder: Path) -> str:

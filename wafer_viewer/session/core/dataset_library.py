@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
 from wafer_viewer.model.job import WaferVerdict
+from wafer_viewer.model.retention import RetentionRule
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
@@ -28,10 +29,12 @@ from wafer_viewer.store.mosaic.layout import SURFACE
 from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 from wafer_viewer.store.records.manifest import load_record, require_as_saved, save_record_text
+from wafer_viewer.store.records.retention_rule import read_rule
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.lock import Lock
+    from wafer_viewer.store.dataset.scan_record import RetentionLine
 
 
 KEPT = 32
@@ -79,6 +82,8 @@ def _meet(a: Box, b: Box) -> bool:
 ENDING = ".wafer"
 DEFAULT_RESULT = "default"
 VERDICT = "verdict.json"
+ACCEPTED, REMOVED = "pass", "frames removed"
+"""Verdict of datasets whose frames may be removed, and what is said when they were."""
 NOTHING_OPEN = "No dataset is open: open one, import images or start a scan first."
 
 
@@ -144,6 +149,7 @@ class Library:
                 results=dataset.results(),
                 imported=bool(record.imported_from),
                 storage=_storage(dataset),
+                held=held_by(dataset),
             ),
             surface=self._stored_surface(),
         )
@@ -195,6 +201,22 @@ class Library:
 
         self._dataset = Dataset.open(self.dataset.path)
         self._show(read_only=self.hold(), storage=_storage(self._dataset))
+
+    def append(self, line: RetentionLine) -> None:
+        """Append a line on how long the frames of the open dataset are kept; on the session's thread only.
+
+        Raises DatasetError when the dataset can only be read, or something else writes to it.
+        """
+        from wafer_viewer.store.dataset.retention import append_line
+
+        shown = self.shown
+        if shown.read_only is not None:
+            raise DatasetError(shown.read_only)
+        if self._lock is None:  # the rig has it for a scan, or a worker for the compression
+            raise DatasetError(f"{shown.path.name} is being written: wait until that is over.")
+        append_line(self.dataset, line)
+        self._show(held=held_by(self.dataset))
+        self.refresh.run()
 
     def show_damage(self, damaged: tuple[Shot, ...]) -> None:
         """Show which frames of the open dataset are damaged."""
@@ -268,11 +290,12 @@ def free_name(folder: Path, wish: str) -> str:
 def datasets_in(folder: Path, words: str = "") -> tuple[DatasetEntry, ...]:
     """Return the datasets of a folder that match all words, the newest first."""
     paths = sorted(folder.glob(f"*{ENDING}")) if folder.is_dir() else []
-    entries = [entry for path in paths if (entry := _entry(path)) is not None and entry.matches(words)]
+    rule = read_rule(folder)
+    entries = [entry for path in paths if (entry := _entry(path, rule)) is not None and entry.matches(words)]
     return tuple(sorted(entries, key=lambda e: e.taken, reverse=True))
 
 
-def _entry(path: Path) -> DatasetEntry | None:
+def _entry(path: Path, rule: RetentionRule) -> DatasetEntry | None:
     """Return a list entry; None for a folder that is no dataset, or one that is being created."""
     from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -290,11 +313,27 @@ def _entry(path: Path) -> DatasetEntry | None:
         lot=job.sample.lot,
         wafer_id=job.sample.wafer_id,
         product=job.product,
-        verdict=_verdict(dataset),
+        verdict=(verdict := verdict_word(dataset)),
+        frames=_kept(dataset, verdict, rule),
     )
 
 
-def _verdict(dataset: Dataset) -> str:
+def held_by(dataset: Dataset) -> str:
+    """Return who holds the frames of a dataset, and why; an empty text without a hold."""
+    return "" if dataset.held is None else f"{dataset.held.by}: {dataset.held.why}"
+
+
+def _kept(dataset: Dataset, verdict: str, rule: RetentionRule) -> str:
+    """Return how long the frames of a dataset are kept, in a few words; empty where no rule says so."""
+    if dataset.removed is not None:
+        return REMOVED
+    if dataset.held is not None:
+        return "held"
+    until = rule.until(dataset.scan.taken) if verdict == ACCEPTED and dataset.finished else None
+    return "" if until is None else f"frames kept until {until}"
+
+
+def verdict_word(dataset: Dataset) -> str:
     """Return the word of the stored verdict on the newest result; empty without one, and for one that was altered."""
     path = dataset.result(_newest_result(dataset)).path / VERDICT
     try:

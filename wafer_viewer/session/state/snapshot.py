@@ -243,7 +243,8 @@ class Draft:
 class DatasetEntry:
     """Entry of the list of datasets in the data folder.
 
-    taken: ISO 8601; verdict: word of the stored verdict on its surface, empty if there is none.
+    taken: ISO 8601; verdict: word of the stored verdict on its surface, empty if there is none. frames: what is said of
+    how long its frames are kept, empty if nothing is.
     """
 
     path: Path
@@ -255,6 +256,7 @@ class DatasetEntry:
     wafer_id: str = ""
     product: str = ""
     verdict: str = ""
+    frames: str = ""
 
     def matches(self, words: str) -> bool:
         """Return whether each word is part of the name, lot, wafer, product, verdict or date; case does not matter."""
@@ -433,6 +435,8 @@ class OpenDataset:
     """Size of its frames if they may be compressed."""
     damaged: tuple[Shot, ...] = ()
     """Frames that were found to differ from their checksums."""
+    held: str = ""
+    """Who holds its frames, and why; empty without a hold."""
 
 
 @dataclass(frozen=True, slots=True)

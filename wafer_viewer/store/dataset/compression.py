@@ -92,6 +92,7 @@ def compress(
     data = Dataset.open(folder)
     if not (folder / FRAMES).is_dir():
         raise DatasetError(f"{folder.name} is a surface without its frames: there is nothing to compress.")
+    data.require_frames("There is nothing to compress")
     lock = Lock.take(folder)
     try:
         data.refresh()

@@ -88,6 +88,8 @@ def sentence_of(damages: Sequence[FieldDamage]) -> str:
 
 def _damage(data: Dataset, field: Field, tags: int | None) -> FieldDamage:
     path, shape = frames_file(data.path, field), data.scan.pages(field)
+    if data.removed is not None:
+        return FieldDamage(field, (), is_unreadable=False, has_damaged_tags=False)
     try:
         compression_of(path, shape)
         shots, has_damaged_tags = tuple(data.damaged_slots(field)), tags not in (None, tags_crc32c(path, shape))

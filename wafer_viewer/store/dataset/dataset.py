@@ -37,11 +37,15 @@ from wafer_viewer.store.dataset.scan_record import (
     Finished,
     FocusAtEnd,
     FrameKept,
+    FramesRemoved,
+    Held,
+    HoldEnded,
     JournalReader,
     Line,
     Missed,
     PassBegun,
     PassEnded,
+    RetentionLine,
     ScanRecord,
     WindowChanged,
     frames_file,
@@ -72,6 +76,8 @@ class CheckReport:
     """Frame files that cannot be read, one sentence each."""
     files: tuple[KindReport, ...] = ()
     """Reports on all other files, by kind."""
+    n_removed: int = 0
+    """Frame files that are not there because they were removed."""
 
     @property
     def ok(self) -> bool:
@@ -92,6 +98,10 @@ class Dataset:
         self._missed: dict[Shot, Missed] = {}
         self._faults: list[str] = []
         self._focus_at_end: dict[int, tuple[bool, bool]] = {}
+        self.held: Held | None = None
+        """Hold that keeps the frames, None without one."""
+        self.removed: FramesRemoved | None = None
+        """Removal of the frames, None if they were not removed."""
         self._ended = False
         self._indexed: tuple[Field, ...] = ()
         self._by_number: dict[int, Field] = {}
@@ -155,9 +165,15 @@ class Dataset:
                 self._focus_at_end[line.field] = line.low, line.high
             case WindowChanged():
                 self._change_window(line)
+            case Held():
+                self.held = line
+            case HoldEnded():
+                self.held = None
+            case FramesRemoved():
+                self.removed = line
             case _:
                 pass
-        if isinstance(line, Missed | FaultNoted | FocusAtEnd | WindowChanged):
+        if isinstance(line, Missed | FaultNoted | FocusAtEnd | WindowChanged | RetentionLine):
             self._others.append(line)
 
     def _change_window(self, line: WindowChanged) -> None:
@@ -197,6 +213,11 @@ class Dataset:
     def faults(self) -> tuple[str, ...]:
         """Faults reported during the scan, in order."""
         return tuple(self._faults)
+
+    def require_frames(self, what: str) -> None:
+        """Raise DatasetError, which begins with `what`, if the frames were removed."""
+        if self.removed is not None:
+            raise DatasetError(f"{what}: {self.removed.sentence(self.path.name)}")
 
     @property
     def finished(self) -> bool:
@@ -270,6 +291,7 @@ class Dataset:
         Raises DatasetError when the field, its file or the exposure is missing, a frame is damaged, or fewer than three
         frames exist.
         """
+        self.require_frames("There are no frames to look at")
         field = self.field(field_number)
         wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
         lines = [self._lines(field_number, e) for e in wanted]
@@ -326,8 +348,11 @@ class Dataset:
         files = check_files(self.path, _partial_progress(progress, 0.0, FILES_SHARE), should_stop)
         progress = _partial_progress(progress, FILES_SHARE, 1.0)
         tags = self.scan.tags_crc32c()
-        good, damaged, faults = 0, list[Shot](), list[str]()
+        good, n_removed, damaged, faults = 0, 0, list[Shot](), list[str]()
         for field in with_progress(self.fields, len(self.fields), "The check", progress, should_stop):
+            if self._is_removed(field):
+                n_removed += 1
+                continue
             try:
                 self._require_good_tags(field, tags.get(field.number))
                 bad = self.damaged_slots(field)
@@ -337,7 +362,11 @@ class Dataset:
             damaged += bad
             good += self._frames.count(field.number) - len(bad)
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
-        return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
+        return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files, n_removed)
+
+    def _is_removed(self, field: Field) -> bool:
+        """Return whether the frame file of a field is not there because it was removed."""
+        return self.removed is not None and not frames_file(self.path, field).exists()
 
     def journal_lines(self, field: Field) -> list[FrameKept]:
         """Return the journal lines of a field's frames, including those of the current pass."""
@@ -423,7 +452,7 @@ class Dataset:
 
         Raises DatasetError when its file cannot be read.
         """
-        lines = list(self._frames.of(field.number).values())
+        lines = [] if self._is_removed(field) else list(self._frames.of(field.number).values())
         pages = map_pages(frames_file(self.path, field), self.scan.pages(field)) if lines else None
         return self._differing(pages, lines) if pages is not None else []
 

@@ -289,7 +289,51 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
     time: str
 
 
-Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | FocusAtEnd | WindowChanged | Finished
+class Held(msgspec.Struct, frozen=True, tag="held"):
+    """Frames that are not to be removed, however old they are."""
+
+    by: str
+    why: str
+    time: str
+
+
+class HoldEnded(msgspec.Struct, frozen=True, tag="hold_ended"):
+    """End of a hold."""
+
+    by: str
+    why: str
+    time: str
+
+
+class FramesRemoved(msgspec.Struct, frozen=True, tag="frames_removed"):
+    """Removal of all frames of an accepted scan after a number of days; from this line on their files may be gone."""
+
+    by: str
+    why: str
+    days: int
+    n_files: int
+    n_bytes: int
+    time: str
+
+    def sentence(self, name: str) -> str:
+        """Return what is said of a dataset whose frames were removed."""
+        why = f" ({self.why})" if self.why else ""
+        return f"The frames of {name} were removed by {self.by} on {self.time[:10]}, after {self.days} days{why}."
+
+
+RetentionLine = Held | HoldEnded | FramesRemoved
+Line = (
+    PassBegun
+    | FrameKept
+    | Missed
+    | Repaired
+    | PassEnded
+    | FaultNoted
+    | FocusAtEnd
+    | WindowChanged
+    | Finished
+    | RetentionLine
+)
 _WAITED_FOR = PassBegun | PassEnded | WindowChanged | Finished
 """Lines that are on the disk before the next one is written, as everything before them."""
 _DECODER = msgspec.json.Decoder(Line)

@@ -142,6 +142,7 @@ class DatasetWriter:
         """
         folder = Path(path)
         data = Dataset.open(folder)
+        data.require_frames("The scan cannot be continued")
         lock = Lock.take(folder)
         with contextlib.ExitStack() as undo:
             undo.callback(lock.release)
