@@ -9,7 +9,15 @@ import pytest
 from numba.core.errors import NumbaError
 
 from tests.support.paths import PACKAGE
-from wafer_viewer.numerics.jit import KERNEL_ROOMS, bare_kernel, cache_folder, source_fingerprint
+from wafer_viewer.numerics import jit
+from wafer_viewer.numerics.jit import (
+    KERNEL_ROOMS,
+    bare_kernel,
+    cache_folder,
+    kernel_state,
+    lean_kernel,
+    source_fingerprint,
+)
 
 
 @bare_kernel
@@ -27,7 +35,8 @@ def _make_an_array(n):
 
 def test_the_cache_can_be_moved_and_belongs_to_this_state_of_the_sources(monkeypatch, tmp_path):
     monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path))
-    assert cache_folder() == tmp_path / "kernels" / source_fingerprint()
+    assert cache_folder() == tmp_path / "kernels" / kernel_state()
+    assert kernel_state().startswith(source_fingerprint())
 
 
 def test_a_change_of_any_kernel_source_changes_the_fingerprint(monkeypatch):
@@ -53,3 +62,43 @@ def test_a_bare_kernel_works_on_views_of_what_it_is_given():
 def test_a_bare_kernel_that_makes_an_array_is_refused():
     with pytest.raises((NumbaError, RuntimeError)):
         _make_an_array(3)
+
+
+def _halve(values):
+    for x in range(values.size):
+        values[x] *= 0.5
+
+
+def _halved(kernel):
+    values = np.ones(3)
+    kernel(values)
+    return values.tolist()
+
+
+def test_a_kernel_of_the_installed_package_is_loaded_and_not_compiled_again(monkeypatch, tmp_path):
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path / "build"))
+    assert _halved(lean_kernel(_halve)) == [0.5] * 3
+    monkeypatch.setattr(jit, "INSTALLED", (tmp_path / "build/kernels").rename(tmp_path / "installed"))
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path / "user"))
+    assert jit.is_anything_compiled()
+    installed = lean_kernel(_halve)
+    assert _halved(installed) == [0.5] * 3
+    assert sum(installed.stats.cache_hits.values()) == 1
+    assert not (tmp_path / "user").exists()
+
+
+def test_kernels_of_another_numba_or_processor_are_not_loaded(monkeypatch, tmp_path):
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path))
+    _halved(lean_kernel(_halve))
+    assert jit.is_anything_compiled()
+    monkeypatch.setattr(jit, "kernel_state", lambda: "00000000-00000000")
+    assert not jit.is_anything_compiled()
+    other = lean_kernel(_halve)
+    assert _halved(other) == [0.5] * 3
+    assert sum(other.stats.cache_hits.values()) == 0
+
+
+def test_a_cache_folder_that_cannot_be_written_costs_time_only(monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path / "file"))
+    assert _halved(lean_kernel(_halve)) == [0.5] * 3

@@ -1,25 +1,31 @@
 """Compilation of kernels by numba, location of their cache, and the types of their arguments.
 
-Compiled code is cached in the user's cache folder (``WAFER_VIEWER_CACHE`` overrides it), so a read-only installation
-still starts fast and every child process loads what the first one compiled. numba checks only the file of the
-outermost kernel for changes, but our kernels inline each other across files. Therefore every state of the sources has
-its own folder.
+Compiled code is loaded from the installed package, which holds what was compiled when its wheel was built, and
+otherwise from the user's cache folder (``WAFER_VIEWER_CACHE`` overrides it), where every process writes what it had to
+compile. numba recognises a change by the path and the time of the file of the outermost kernel; but our kernels inline
+each other across files, and an installation changes paths and times. Therefore every state of the sources, of numba,
+of Python and of the processor has its own folder, and nothing else is compared.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
-from numba.core import config as numba_config
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numpy.typing import NDArray
 
+INSTALLED = Path(__file__).parent / "compiled"
+"""Kernels that were compiled for the wheel: a folder for each state, as in the user's cache folder."""
 KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
 _UNCOUNTED: dict[str, Any] = {"_nrt": False}  # numba's runtime with reference counts, an option missing from its stubs
 _LEAN: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **_UNCOUNTED}
@@ -31,7 +37,14 @@ def cache_folder() -> Path:
     """Return the folder of compiled kernels, under ``WAFER_VIEWER_CACHE`` or ``~/.cache/wafer-viewer``."""
     home = os.environ.get("WAFER_VIEWER_CACHE")
     base = Path(home) if home else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wafer-viewer"
-    return base / "kernels" / source_fingerprint()
+    return base / "kernels" / kernel_state()
+
+
+@functools.cache
+def kernel_state() -> str:
+    """Return a name that changes with all that compiled code depends on."""
+    target = numba.__version__, sys.implementation.cache_tag, llvm.get_host_cpu_name(), _cpu_features()
+    return f"{source_fingerprint()}-{zlib.crc32(repr(target).encode()):08x}"
 
 
 def source_fingerprint() -> str:
@@ -41,22 +54,83 @@ def source_fingerprint() -> str:
     return f"{functools.reduce(lambda crc, f: zlib.crc32(f.read_bytes(), crc), sources, 0):08x}"
 
 
-setattr(numba_config, "CACHE_DIR", str(cache_folder()))  # noqa: B010 - numba makes its settings at run time
+def _cpu_features() -> str:
+    try:
+        return str(llvm.get_host_cpu_features().flatten())
+    except RuntimeError:  # the processor does not tell
+        return ""
 
 
 def is_anything_compiled() -> bool:
-    """Return whether the cache holds any kernel of this state of the sources."""
-    return any(cache_folder().rglob("*.nbi"))
+    """Return whether any kernel is compiled for this state of sources, numba, Python and processor."""
+    return any(any(folder.rglob("*.nbi")) for folder in (INSTALLED / kernel_state(), cache_folder()))
+
+
+class _Location:
+    """Location of the compiled code of a function for numba, and the state that it must be of."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.module, self._line = function.__module__, function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Location:
+        return cls(py_func)
+
+    def get_cache_path(self) -> str:
+        return str(cache_folder() / self.module)
+
+    def ensure_cache_path(self) -> None:
+        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        return kernel_state()
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _KernelFiles(CompileResultCacheImpl):
+    _locator_classes = (_Location,)
+
+
+class _KernelCache(FunctionCache):
+    """Compiled code of one function: that of the installed package, then that of the user's cache folder."""
+
+    _impl_class = _KernelFiles
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        folder = str(INSTALLED / kernel_state() / function.__module__)
+        self._installed = IndexDataCacheFile(folder, self._impl.filename_base, kernel_state())
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        key = self._index_key(sig, target_context.codegen())
+        for files in (self._installed, self._cache_file):
+            with contextlib.suppress(OSError):  # a folder that may not be read
+                if (data := files.load(key)) is not None:
+                    return self._impl.rebuild(target_context, data)
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):  # a full disk, a folder that may not be written: compiled anew next time
+            super().save_overload(sig, data)
+
+
+def _cached(function: F, **options: Any) -> F:
+    """Compile a function without the GIL, or load its compiled code."""
+    dispatcher: Any = numba.njit(nogil=True, **options)(function)
+    dispatcher._cache = _KernelCache(function)  # as `cache=True` does with a cache of numba's own
+    return cast(F, dispatcher)
 
 
 def kernel(function: F) -> F:
     """Compile a module-level function once per machine; it runs without the GIL."""
-    return cast(F, numba.njit(cache=True, nogil=True)(function))
+    return _cached(function)
 
 
 def fast_kernel(function: F) -> F:
     """Compile a `kernel` with reordered float arithmetic; not for code that tests for NaN."""
-    return cast(F, numba.njit(cache=True, nogil=True, fastmath=True)(function))
+    return _cached(function, fastmath=True)
 
 
 def bare_kernel(function: F) -> F:
@@ -65,12 +139,12 @@ def bare_kernel(function: F) -> F:
     Reference counting takes an atomic operation for every view of a row, a third of the time of a kernel that works
     through rows of a picture. Compilation fails if the kernel, or one that it calls, creates an array.
     """
-    return cast(F, numba.njit(cache=True, nogil=True, fastmath=True, **_UNCOUNTED)(function))
+    return _cached(function, fastmath=True, **_UNCOUNTED)
 
 
 def lean_kernel(function: F) -> F:
     """Compile a `bare_kernel` that preserves the order of float arithmetic; division by zero gives infinity or NaN."""
-    return cast(F, numba.njit(cache=True, nogil=True, **_LEAN)(function))
+    return _cached(function, **_LEAN)
 
 
 def lean_part(function: F) -> F:
