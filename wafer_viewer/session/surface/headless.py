@@ -82,15 +82,15 @@ def surface_of(
     from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
-    stack = open_stack(
-        files,
-        z_step_um,
-        pixel_um,
-        progress=lambda share: tell(READ_SHARE * share),
-        numerical_aperture=numerical_aperture,
-        wavelength_um=wavelength_um,
-    )
-    with compiling_beside():
+    with compiling_beside():  # while the files are read, too
+        stack = open_stack(
+            files,
+            z_step_um,
+            pixel_um,
+            progress=lambda share: tell(READ_SHARE * share),
+            numerical_aperture=numerical_aperture,
+            wavelength_um=wavelength_um,
+        )
         surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
     return surface, summarise(surface, 1, result, recipe)
 
