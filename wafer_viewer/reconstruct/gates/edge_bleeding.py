@@ -455,11 +455,14 @@ def find_edges(
     min_fall = np.zeros(frames.shape, np.float32)
     fine = replace(how, window=min(how.window, LINE_WINDOW_PX))
     searched = (sides.side == EdgeSide.DARK) & (origin != Origin.CLIPPED) & (how.mode == "rims")
+    wall = _wall_of(band, sides)
     for search, where in ((how, ~below_line), (fine, below_line)):
+        if not where.any():
+            continue
         near = near_of(search, frames)
         min_fall[where] = noise_fall(near)
         wanted = np.where(searched & where, expected_um, np.float32(np.nan))
-        _search_along(frames, search, near, wanted, _wall_of(band, sides), z_um, fall, threads)
+        _search_along(frames, search, near, wanted, wall, z_um, fall, threads)
     return BleedingEdges(sides.side, expected_um, z_um, fall, min_fall, below_line, how.tolerance_um)
 
 
