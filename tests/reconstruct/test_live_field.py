@@ -15,6 +15,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe
 from wafer_viewer.reconstruct.live_field import LiveField
+from wafer_viewer.reconstruct.preprocess import drift
 
 MakeStack = Callable[..., FieldStack]
 Z_UM = np.arange(20.0, 104.0, 4.0)
@@ -43,6 +44,22 @@ def test_it_is_the_same_map_bit_for_bit(stack: FieldStack, measure: str, chunks:
     for layer in ("z_um", "z_raw_um", "confidence", "origin", "all_in_focus"):
         np.testing.assert_array_equal(getattr(grown, layer), getattr(full, layer), layer)
     assert grown.provenance == full.provenance
+
+
+def test_most_of_the_motion_between_frames_is_known_before_the_last_one(
+    stack: FieldStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = list[int]()
+    spectra = drift._spectra
+    monkeypatch.setattr(drift, "_spectra", lambda images: frames.append(len(images)) or spectra(images))
+    field = LiveField(stack.images, 4.0, settled_recipe(stack))
+    frames.clear()
+    field.take(0, 20)
+    ahead = sum(frames)
+    field.take(20, 21)
+    field.surface(stack)
+    assert ahead > 0
+    assert sum(frames) - ahead <= ahead / 10
 
 
 def test_with_a_frame_missing_it_is_the_map_of_what_is_there(stack: FieldStack) -> None:

@@ -7,6 +7,8 @@ stack.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +23,13 @@ from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, stripes
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
+from wafer_viewer.reconstruct.preprocess.drift import measure_displacements
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 
+AHEAD_SHARE = 0.75
+"""Share of the frames after which the motion between them is measured: the surface is behind most of them, and while
+the others arrive their measurement, which is faster than a camera of 60 frames a second, catches up."""
 WHITE_COUNTS = 255
 """White of 8-bit frames."""
 
@@ -92,7 +98,20 @@ class LiveField:
             self._add_silhouettes(rows, source, first)
         for slot in slots.tolist():
             self._samples.take(slot, self._images[slot])
+        before = int(self._came.sum())
         self._came[first:stop] = True
+        if before < AHEAD_SHARE * len(self._came) <= self._came.sum():
+            self._measure_motions()
+
+    def _measure_motions(self) -> None:
+        """Measure the motion between the frames that arrived, if none is missing between them."""
+        slots = np.flatnonzero(self._came)
+        if self._recipe.drift == "none" or np.ptp(slots) >= slots.size:
+            return
+        arrived: Any = np.asarray(self._images)[slots[0] : slots[-1] + 1]
+        measure_displacements(
+            lambda rows, cols: arrived[:, rows, cols], self._images.shape[1:], slots, self._samples.motions
+        )
 
     def _add_silhouettes(self, rows: slice, source: StackSource, first: int) -> None:
         """Add the silhouettes in the frames of a source, of which the first is `first`, to those of some rows."""

@@ -92,13 +92,48 @@ class Sightings:
         return Sightings(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
-def measure_displacements(read: ReadTile, shape: tuple[int, int], n_frames: int) -> Sightings:
-    """Measure the motion between the frames of a field of `shape` in all tiles."""
+class TileMotions:
+    """Spectra of tiles and displacements between them, by slots; each is computed once.
+
+    Those of a live field are computed while its last frames arrive.
+    """
+
+    def __init__(self) -> None:
+        self._spectra: dict[tuple[int, int], Complex] = {}
+        self._moved: dict[tuple[int, int, int], tuple[NDArray[np.float64], np.float64]] = {}
+
+    def spectra(self, tile: int, slots: list[int], images: Image) -> Complex:
+        """Return the spectra of a tile, [n, row, col], of frames in these slots."""
+        new = [n for n, slot in enumerate(slots) if (tile, slot) not in self._spectra]
+        if new:
+            self._spectra |= {(tile, slots[n]): one for n, one in zip(new, _spectra(images[new]), strict=True)}
+        return np.stack([self._spectra[tile, slot] for slot in slots])
+
+    def moved(
+        self, tile: int, pairs: list[tuple[int, int]], first: Complex, second: Complex
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the displacement between the slots of each pair, [n, (rows, cols)], and the height of its peak."""
+        new = [n for n, pair in enumerate(pairs) if (tile, *pair) not in self._moved]
+        if new:
+            found = zip(new, *_moved(first[new], second[new]), strict=True)
+            self._moved |= {(tile, *pairs[n]): (moved, height) for n, moved, height in found}
+        known = [self._moved[tile, *pair] for pair in pairs]
+        return np.array([moved for moved, _ in known]).reshape(-1, 2), np.array([height for _, height in known])
+
+
+def measure_displacements(
+    read: ReadTile, shape: tuple[int, int], slots: NDArray[np.intp], motions: TileMotions | None = None
+) -> Sightings:
+    """Measure the motion between the frames of a field of `shape` in all tiles.
+
+    slots: of the frames, in the order of z; motions: what is known of them already, and is kept.
+    """
     side, (high, wide) = _side_px(shape), DISPLACEMENT.tiles
     corners = [(r, c) for r in _starts(shape[0], side, high) for c in _starts(shape[1], side, wide)]
+    motions = motions or TileMotions()
     found = [
-        _of_tile(n, read(slice(r, r + side), slice(c, c + side)), _middle((r, c), side, shape))
-        for n, (r, c) in enumerate(corners if min(shape) >= side and n_frames > 1 else [])
+        _of_tile(n, read(slice(r, r + side), slice(c, c + side)), _middle((r, c), side, shape), slots, motions)
+        for n, (r, c) in enumerate(corners if min(shape) >= side and len(slots) > 1 else [])
     ]
     return _joined([one for of_tile in found for one in of_tile])
 
@@ -125,23 +160,36 @@ def _joined(parts: list[Sightings]) -> Sightings:
     return Sightings(*(np.concatenate([getattr(part, name) for part in [empty, *parts]]) for name in names))
 
 
-def _of_tile(tile: int, images: Image, at_px: NDArray[np.float64]) -> list[Sightings]:
+def _of_tile(
+    tile: int, images: Image, at_px: NDArray[np.float64], slots: NDArray[np.intp], motions: TileMotions
+) -> list[Sightings]:
     frames = _sharp_frames(images)
     if len(frames) < 2:
         return []
-    spectra = _spectra(images[frames])
+    spectra = motions.spectra(tile, slots[frames].tolist(), images[frames])
     place = np.full(len(images), -1)
     place[frames] = np.arange(len(frames))
-    return [_of_pairs(tile, spectra, place, lag, at_px) for lag in DISPLACEMENT.lags if lag < len(images)]
+    found = list[Sightings]()
+    for lag in DISPLACEMENT.lags:
+        first = np.flatnonzero((place[:-lag] >= 0) & (place[lag:] >= 0))
+        if first.size:
+            pairs = list(zip(slots[first].tolist(), slots[first + lag].tolist(), strict=True))
+            moved = motions.moved(tile, pairs, spectra[place[first]], spectra[place[first + lag]])
+            found.append(_of_pairs(tile, first, first + lag, at_px, *moved))
+    return found
 
 
-def _of_pairs(tile: int, spectra: Complex, place: NDArray[np.intp], lag: int, at_px: NDArray[np.float64]) -> Sightings:
-    """Measure the displacements between frames `lag` apart in which a tile is sharp."""
-    first = np.flatnonzero((place[:-lag] >= 0) & (place[lag:] >= 0))
-    moved, height = _moved(spectra[place[first]], spectra[place[first + lag]])
-    many = Sightings(
-        np.full(len(first), tile), first, first + lag, np.tile(at_px, (len(first), 1)), moved, (height / 10) ** 2
-    )
+def _of_pairs(
+    tile: int,
+    first: NDArray[np.intp],
+    second: NDArray[np.intp],
+    at_px: NDArray[np.float64],
+    moved: NDArray[np.float64],
+    height: NDArray[np.float64],
+) -> Sightings:
+    """Return the displacements between pairs of frames in which a tile is sharp, where the peak is clear."""
+    n = len(first)
+    many = Sightings(np.full(n, tile), first, second, np.tile(at_px, (n, 1)), moved, (height / 10) ** 2)
     return many.where(height > DISPLACEMENT.least_peak)
 
 

@@ -21,7 +21,13 @@ from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
-from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_note, drift_of, measure_displacements
+from wafer_viewer.reconstruct.preprocess.drift import (
+    Drift,
+    TileMotions,
+    drift_note,
+    drift_of,
+    measure_displacements,
+)
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of, z_taps
 from wafer_viewer.reconstruct.preprocess.flicker import Flicker, divide_by_gain, fineness, measure_flicker
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
@@ -181,7 +187,9 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe(), samples: FrameSamples 
     frames = _fused(stack, frames, white, flickers)
     frames = _without_flicker(frames, flickers, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
-    return frames if recipe.drift == "none" else _with_drift_correction(stack, frames)
+    if recipe.drift == "none":
+        return frames
+    return _with_drift_correction(stack, frames, of_exposures[0].motions if frames.as_stored else None)
 
 
 def clipped_from(white_counts: int) -> int:
@@ -295,8 +303,8 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int, flickers: list[
     return dataclasses.replace(frames, fusion=fusion, clipped_counts=clipped, notes=(*frames.notes, note))
 
 
-def _with_drift_correction(stack: FieldStack, frames: Frames) -> Frames:
-    """Return frames with drift correction, if there is drift."""
+def _with_drift_correction(stack: FieldStack, frames: Frames, motions: TileMotions | None) -> Frames:
+    """Return frames with drift correction, if there is drift; motions: those of frames as they are stored."""
 
     def read(rows: slice, cols: slice) -> Image:
         if frames.ready(rows, 0):
@@ -306,7 +314,8 @@ def _with_drift_correction(stack: FieldStack, frames: Frames) -> Frames:
         read_block(frames, rows, cols, 0, block)
         return block
 
-    drift = drift_of(measure_displacements(read, frames.shape, frames.n_frames), frames.n_frames, frames.shape)
+    sightings = measure_displacements(read, frames.shape, frames.slots, motions)
+    drift = drift_of(sightings, frames.n_frames, frames.shape)
     if drift is None:
         return frames
     return dataclasses.replace(frames, drift=drift, notes=(*frames.notes, drift_note(drift, stack.pixel_um)))
@@ -327,7 +336,7 @@ def _sound_slots(
     for one, of_frames in exposures:
         tested = slots[~np.isin(slots, list(faults))]
         bands = [of_frames.bands(int(slot), one.images[slot]) for slot in tested]
-        faults |= torn_frames(bands, tested, white_counts)
+        faults |= torn_frames(bands, tested, white_counts, of_frames.change)
     sound = slots[~np.isin(slots, list(faults))]
     if len(sound) < MIN_FRAMES:
         return slots, ()

@@ -9,8 +9,9 @@ of another frame to the last count are stale, because no two frames have the sam
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,14 +73,18 @@ class TearParameters:
 TEAR = TearParameters()
 
 
-def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: int) -> dict[int, str]:
+Change = Callable[[int, int], Floats]
+"""Function that returns the `relative_change` between the frames in two slots."""
+
+
+def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: int, change: Change) -> dict[int, str]:
     """Return what is wrong with each torn frame among `slots`, in the order of z; none where there are many.
 
     bands: from `sampled_bands` of these frames.
     """
     if len(slots) < LEAST_FRAMES or not bands[0].size:
         return {}
-    torn = _torn(np.stack(bands), white_counts)
+    torn = _torn(np.stack(bands), slots, white_counts, change)
     if len(torn) > TEAR.most_torn * len(slots):
         return {}
     return {
@@ -88,7 +93,7 @@ def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: i
     }
 
 
-def _torn(raw: Greys, white_counts: int) -> list[tuple[int, float]]:
+def _torn(raw: Greys, slots: NDArray[np.intp], white_counts: int, change: Change) -> list[tuple[int, float]]:
     """Return the index along z and the torn fraction of each torn frame; raw: sampled bands, [k, band, row, col]."""
     level = np.stack([frame.astype(np.float32).mean(axis=(1, 2), keepdims=True) for frame in raw])
     bands = _Bands(raw, level, level.mean() / np.maximum(level, 1.0))
@@ -96,7 +101,8 @@ def _torn(raw: Greys, white_counts: int) -> list[tuple[int, float]]:
     others = np.delete(np.arange(len(raw)), list(found))
     if len(others) >= LEAST_FRAMES:
         lit = level[others].mean(axis=(1, 2, 3)) >= TEAR.dark * level.mean()
-        found |= {int(others[k]): share for k, share in _unlike(bands.of_frames(others), lit, white_counts).items()}
+        unlike = _unlike(bands.of_frames(others), lit, slots[others].tolist(), white_counts, change)
+        found |= {int(others[k]): share for k, share in unlike.items()}
     return sorted(found.items())
 
 
@@ -123,19 +129,13 @@ class _Bands:
         return self if len(frames) == len(self) else _Bands(self.raw[frames], self.level[frames], self.factor[frames])
 
 
-def _unlike(bands: _Bands, lit: NDArray[np.bool_], white_counts: int) -> dict[int, float]:
-    """Return the torn fraction of frames of which some bands alone differ from the frames beside them.
-
-    Frame by frame, so that a frame and the two before it stay in cache.
-    """
-    n_frames, n_bands = bands.raw.shape[:2]
-    off, across = np.empty((n_frames - 1, n_bands), np.float32), np.empty((n_frames - 2, n_bands), np.float32)
-    before, last = bands[0], bands[1]
-    off[0] = _mean_square(last, before)
-    for k in range(2, n_frames):
-        frame = bands[k]
-        off[k - 1], across[k - 2] = _mean_square(frame, last), _mean_square(frame, before)
-        before, last = last, frame
+def _unlike(
+    bands: _Bands, lit: NDArray[np.bool_], slots: list[int], white_counts: int, change: Change
+) -> dict[int, float]:
+    """Return the torn fraction of frames of which some bands alone differ from the frames beside them."""
+    n_bands, scale = bands.raw.shape[1], bands.level.mean() ** 2
+    off = scale * np.stack([change(*pair) for pair in pairwise(slots)])
+    across = scale * np.stack([change(*pair) for pair in zip(slots, slots[2:], strict=False)])
     own = np.minimum(off[1:], off[:-1])
     ratio = own / np.maximum(across, 1e-6)
     suspect = (ratio > TEAR.least_ratio) & (own > (TEAR.least_share_of_white * white_counts) ** 2)
@@ -198,6 +198,17 @@ def _is_torn(bands: _Bands, b: int, k: int, off: float) -> bool:
 
 def _mean_square(one: Floats, other: Floats) -> Floats:
     return np.mean((one - other) ** 2, axis=(-2, -1))
+
+
+def relative_change(one: Greys, other: Greys) -> Floats:
+    """Return the mean square difference between sampled bands of two frames, each relative to its mean, [band]."""
+    return _mean_square(_relative(one), _relative(other))
+
+
+def _relative(bands: Greys) -> Floats:
+    grey = bands.astype(np.float32)
+    level = grey.mean(axis=(1, 2), keepdims=True)
+    return (grey - level) / np.maximum(level, np.float32(1))
 
 
 def sampled_bands(frame: Image) -> Greys:
