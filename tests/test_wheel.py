@@ -3,61 +3,33 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import shutil
 import subprocess
 import sys
-import sysconfig
 import tomllib
-import venv
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from tests.support.installation import build_wheel, install_wheel, run, sharpest_in_the_middle
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.slow
+COMPILED = "wafer_viewer/numerics/compiled/"
 PYTHONS = ("3.11", "3.12", "3.13")
-
-
-def run(*words: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_"))}
-    command = [str(word) for word in words]
-    return subprocess.run(command, cwd=cwd, env=clean | environment, capture_output=True, text=True, timeout=300)
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of a copy of what git would hand out, built by the builder of this environment."""
     if importlib.util.find_spec("hatchling") is None:
         pytest.skip("hatchling is not installed: bash tests/run.sh setup installs the locked environment")
-    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
-    for name in ("pyproject.toml", "README.md"):
-        shutil.copy(ROOT / name, source)
-    shutil.copytree(ROOT / "wafer_viewer", source / "wafer_viewer", ignore=shutil.ignore_patterns("__pycache__"))
-    (source / "assets").mkdir()
-    shutil.copy(ROOT / "assets/LICENSE", source / "assets")
-    words = (sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", out, source)
-    done = run(*words, cwd=source)
-    assert done.returncode == 0, done.stderr
-    (built,) = out.glob("*.whl")
-    return built
+    return build_wheel(tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A new environment with the wheel and nothing of the checkout; what it needs is taken from this environment."""
-    folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, with_pip=True)
-    program = folder / ("Scripts" if os.name == "nt" else "bin")
-    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    site = run(program / "python", "-c", code, cwd=folder).stdout.strip()
-    done = run(program / "python", "-m", "pip", "install", "--no-deps", "--no-index", wheel, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    # A folder of a .pth file comes last, and its own .pth files, as that of this checkout, are not read.
-    (Path(site) / "needed.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
-    return program
+    return install_wheel(wheel, tmp_path_factory.mktemp("environment"))
 
 
 def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> None:
@@ -66,10 +38,11 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path)
         pytest.skip("this is no checkout of git")
     files = {name for name in listed.stdout.splitlines() if (ROOT / name).exists()}
     names = set(zipfile.ZipFile(wheel).namelist())
-    held = {name for name in names if name.startswith("wafer_viewer/")}
+    held = {name for name in names if name.startswith("wafer_viewer/") and not name.startswith(COMPILED)}
     assert files <= held
     assert {name for name in held - files if not (ROOT / name).exists()} == set()
-    assert {name.split("/")[0] for name in names - held} == {f"{wheel.name.split('-py3')[0]}.dist-info"}
+    rest = {name for name in names - held if not name.startswith(COMPILED)}
+    assert {name.split("/")[0] for name in rest} == {f"{wheel.name.split('-py3')[0]}.dist-info"}
     assert any(name.endswith("licenses/assets/LICENSE") for name in names)
 
 
@@ -85,6 +58,21 @@ def test_the_program_of_the_wheel_works_without_the_checkout(installed: Path, tm
     plan = tmp_path / "plan.toml"
     plan.write_text((ROOT / "assets/plans/wafer.toml").read_text())
     assert run(installed / "wafer-viewer", "plan", plan, cwd=tmp_path).returncode == 0
+
+
+def test_the_first_surface_after_an_installation_waits_for_no_compiler(installed: Path, tmp_path: Path) -> None:
+    images, cache = sharpest_in_the_middle(tmp_path / "stack.tif"), tmp_path / "cache"
+    words = ("reconstruct", images, "--z-step-um", 4, "--pixel-um", 1, "-o", tmp_path / "surface.npz")
+    done = run(installed / "wafer-viewer", *words, cwd=tmp_path, WAFER_VIEWER_CACHE=str(cache))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "surface.npz").exists()
+    assert [kernel.name for kernel in cache.rglob("*.nbi")] == []
+
+
+def test_what_the_kernels_are_built_with_is_what_the_program_runs_with() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    hook = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["custom"]
+    assert set(hook["dependencies"]) <= set(settings["project"]["dependencies"])
 
 
 def interpreter(version: str) -> str | None:

@@ -48,7 +48,7 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
     """List what this machine has and lacks, and how to fix it; status 1 when something is lacking.
 
     Also connects to each device of the rig, says what answers, and compares the counts of the pulse box with the stage.
-    Run it after an installation: it compiles the kernels, so that the first surface does not wait for them.
+    It compiles the kernels that the installation did not, so that the first surface does not wait for them.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.

@@ -203,6 +203,11 @@ def warm_up_beside() -> None:
     from wafer_viewer.reconstruct.field_pipeline import warm_up_backwards
 
     warm_up_backwards()
+    warm_up_stitching()
+
+
+def warm_up_stitching() -> None:
+    """Compile or load the kernels that a mosaic needs."""
     _stitch([_tiny_surface(_tiny_stack(x_um)) for x_um in _TINY_X_UM])
 
 
