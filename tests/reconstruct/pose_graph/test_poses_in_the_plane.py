@@ -10,6 +10,7 @@ import pytest
 from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of, wafer
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts, selected
+from wafer_viewer.numerics.block_gradients import LOOSE_PX
 from wafer_viewer.reconstruct.pose_graph import amg_solver
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
 
@@ -40,6 +41,30 @@ def only(shifts: Shifts, edges: Numbers, **values: float) -> Shifts:
     x_um[edges] += values.get("x_px", 0.0) * PIXEL_UM
     y_um[edges] += values.get("y_px", 0.0) * PIXEL_UM
     return dataclasses.replace(shifts, x_um=x_um, y_um=y_um)
+
+
+def lines(fields: Fields, seed: int, turn: float) -> tuple[Shifts, Numbers]:
+    """What overlaps say that show lines at an angle (rad) to the x axis: the place across them, along them nothing."""
+    shifts, true = observations(fields, seed)
+    across, along = np.array([-np.sin(turn), np.cos(turn)]), np.array([np.cos(turn), np.sin(turn)])
+    told = (np.column_stack((shifts.x_um, shifts.y_um)) @ across)[:, None] * across
+    covariance = (shifts.u_x_um**2)[:, None, None] * np.outer(across, across)
+    covariance = covariance + (LOOSE_PX * PIXEL_UM) ** 2 * np.outer(along, along)
+    u_x_um, u_y_um = (np.sqrt(covariance[:, k, k]) for k in range(2))
+    return dataclasses.replace(
+        shifts,
+        x_um=told[:, 0],
+        y_um=told[:, 1],
+        u_x_um=u_x_um,
+        u_y_um=u_y_um,
+        covariance_um2=covariance[:, 0, 1],
+    ), true
+
+
+def across_px(found: Positions, true: Numbers, turn: float) -> Numbers:
+    """How far each field is off across lines, once all are shifted together, in pixels."""
+    off = (np.column_stack((found.x_um, found.y_um)) - true) @ (-np.sin(turn), np.cos(turn))
+    return np.abs(off - np.median(off)) / PIXEL_UM
 
 
 def test_all_overlaps_together_know_each_field_to_a_tenth_of_a_pixel():
@@ -222,6 +247,30 @@ def test_an_overlap_constraining_one_direction_is_used_for_it():
     assert found.u_y_um.mean() > 1.5 * found.u_x_um.mean()
 
 
+def test_oblique_lines_hold_a_field_between_two_parts_that_the_stage_has_off():
+    """Across the lines the stage is 16 px off there; that is one deviation, though both coordinates show it."""
+    turn, n_rejected = 2.65, 0
+    fields = grid(6, 3).without(np.isin(np.arange(18), (7, 8)))
+    towards = (fields.pairs[:, 1] == 6).astype(float) - (fields.pairs[:, 0] == 6)
+    off_px = 16.0 * np.array([-np.sin(turn), np.cos(turn)])
+    for seed in range(20):
+        shifts, _ = lines(fields, seed, turn)
+        x_um, y_um = (told + towards * px * PIXEL_UM for told, px in zip((shifts.x_um, shifts.y_um), off_px, strict=True))
+        found = solved(fields, dataclasses.replace(shifts, x_um=x_um, y_um=y_um))
+        n_rejected += not found.shifts.believed.all()
+    assert n_rejected <= 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_of_oblique_lines_those_that_contradict_the_others_are_rejected(seed):
+    fields = grid(5, 5)
+    shifts, true = lines(fields, seed, 0.5)
+    wrong = np.flatnonzero((fields.pairs == 12).any(axis=1))[:1]
+    found = solved(fields, only(shifts, wrong, x_px=-14.8 * np.sin(0.5), y_px=14.8 * np.cos(0.5)))
+    assert np.flatnonzero(~found.shifts.believed).tolist() == wrong.tolist()
+    assert across_px(found, true, 0.5).max() < 0.5
+
+
 @pytest.mark.slow
 def test_uncertainties_cover_the_errors():
     fields, ratios = grid(7, 7), []
@@ -235,7 +284,7 @@ def test_uncertainties_cover_the_errors():
 @pytest.mark.slow
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(900)
-    shifts, _ = observations(fields, 16, wrong=0.03, blank=0.1, turn=1e-3)
+    shifts, _ = observations(fields, 17, wrong=0.03, blank=0.1, turn=1e-3)
     at_once = solved(fields, shifts)
     monkeypatch.setattr(amg_solver, "DIRECT_FIELDS", 60)
     by_levels = solved(fields, shifts)

@@ -100,6 +100,8 @@ class ArbitrationParameters:
         Smallest number of degrees of freedom from which the stage error within cores is estimated.
     most_together : float
         Maximum effective number of averaged stage errors, which are not fully independent.
+    least_variance : float
+        Smallest variance of the stage's error in a direction, relative to the other: along lines none is seen.
     """
 
     agrees: float = 15.0
@@ -108,6 +110,7 @@ class ArbitrationParameters:
     most_ties: int = 64
     least_degrees: int = 8
     most_together: float = 8.0
+    least_variance: float = 1e-4
 
 
 ARBITRATION = ArbitrationParameters()
@@ -119,8 +122,8 @@ def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, exce
     lone = np.zeros(len(believed), np.bool_)
     lone[believed] = bridges(len(values), network.first[believed], network.second[believed])
     core = groups(len(values), network.first[believed & ~lone], network.second[believed & ~lone])
-    sigma = _scatter(surprise, core, network.prior_sigma)
-    cluster = _clusters(network, lone, _suspect(network, surprise, core, sigma, believed)[core], believed)
+    precision = _stage_precision(surprise, core, network.prior_sigma)
+    cluster = _clusters(network, lone, _suspect(network, surprise, core, precision, believed)[core], believed)
     ties = np.flatnonzero((cluster[network.first] != cluster[network.second]) & network.tells.any(axis=1))
     decided = np.full(len(network.first), np.nan)
     if len(ties):
@@ -128,17 +131,20 @@ def arbitrate_bridges(network: PoseGraph, values: Numbers, shared: Numbers, exce
             cluster[network.first[ties]],
             cluster[network.second[ties]],
             network.misfit(values, shared)[ties],
-            np.einsum("eaa->ea", network.information[ties]) / (2 * ARBITRATION.slack * excess**2),
+            network.information[ties] / (2 * ARBITRATION.slack * excess**2),
         )
         size = np.bincount(cluster).astype(float)
         size[cluster[~network.ties.free]] = np.inf
-        decided[ties] = open_ties.agree(_placed(open_ties, size, _mean_of(surprise, cluster), sigma))
+        decided[ties] = open_ties.agree(_placed(open_ties, size, _mean_of(surprise, cluster), precision))
     return decided
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ties:
-    """Edges between clusters, [t]: misfit, [t, d], measured minus solved; precision: inverse of twice its variance."""
+    """Edges between clusters, [t]: misfit, [t, d], measured minus solved.
+
+    precision: inverse of twice its covariance, [t, d, d], 0 along directions that an edge does not tell, as lines.
+    """
 
     first: Int32s
     second: Int32s
@@ -147,8 +153,7 @@ class _Ties:
 
     def agree(self, moved: Numbers) -> Flags:
         """Return which edges fit once clusters have moved by [clusters, d]."""
-        residual = self.misfit - moved[self.second] + moved[self.first]
-        return np.sum(self.precision * residual**2, axis=1) < ARBITRATION.agrees
+        return _weighed(self.misfit - moved[self.second] + moved[self.first], self.precision) < ARBITRATION.agrees
 
     def proposals(self, placed: Flags, moved: Numbers) -> _Proposals:
         """Return the proposals of edges between placed and unplaced clusters."""
@@ -156,14 +161,16 @@ class _Ties:
         second_moves = placed[self.first[crossing]]
         mover = np.where(second_moves, self.second[crossing], self.first[crossing])
         anchor = np.where(second_moves, self.first[crossing], self.second[crossing])
-        move = moved[anchor] + np.where(second_moves, 1.0, -1.0)[:, None] * self.misfit[crossing]
+        told = np.linalg.pinv(self.precision[crossing], hermitian=True) @ self.precision[crossing]
+        by = np.where(second_moves, 1.0, -1.0)[:, None] * self.misfit[crossing]
+        move = (told @ (moved[anchor] + by)[:, :, None])[:, :, 0]
         order = np.argsort(mover, kind="stable")
         return _Proposals(mover[order], move[order], self.precision[crossing][order])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Proposals:
-    """Proposed moves, sorted by cluster: cluster [p], displacement [p, d] and precision [p, d]."""
+    """Proposed moves, sorted by cluster: cluster [p], displacement [p, d] and precision [p, d, d]."""
 
     cluster: Int32s
     move: Numbers
@@ -180,18 +187,24 @@ class _Choice:
     surprise: Numbers
 
 
-def _scatter(surprise: Numbers, core: Int32s, sigma: Numbers) -> Numbers:
-    """Return the stage error [d] within cores, at most `sigma`, which a misplaced core overestimates."""
+def _stage_precision(surprise: Numbers, core: Int32s, sigma: Numbers) -> Numbers:
+    """Return the inverse covariance [d, d] of the stage's error within cores.
+
+    At most `sigma` is believed, which a misplaced core overestimates. Where overlaps show lines, the stage's error
+    shows across them only, in both coordinates alike, and counts once.
+    """
     degrees = len(core) - len(np.unique(core))
     if degrees < ARBITRATION.least_degrees:
-        return sigma
+        return np.diag(sigma**-2.0)
     inside = surprise - _mean_of(surprise, core)[core]
-    return np.minimum(sigma, np.sqrt(np.sum(inside**2, axis=0) / degrees))
+    variances, axes = np.linalg.eigh(inside.T @ inside / degrees)
+    variances = np.minimum(np.maximum(variances, ARBITRATION.least_variance * variances[-1]), np.max(sigma) ** 2)
+    return np.asarray((axes / variances) @ axes.T, np.float64)
 
 
-def _suspect(network: PoseGraph, surprise: Numbers, core: Int32s, sigma: Numbers, believed: Flags) -> Flags:
+def _suspect(network: PoseGraph, surprise: Numbers, core: Int32s, precision: Numbers, believed: Flags) -> Flags:
     """Return a mask of cores with rejected edges or implausible stage residuals."""
-    far = np.minimum(np.bincount(core), ARBITRATION.most_together) * _chi2(_mean_of(surprise, core), sigma) / 2
+    far = np.minimum(np.bincount(core), ARBITRATION.most_together) * _weighed(_mean_of(surprise, core), precision) / 2
     rejected = network.tells.any(axis=1) & ~believed
     suspect = far > ARBITRATION.alone
     suspect[core[network.first[rejected]]] = suspect[core[network.second[rejected]]] = True
@@ -210,13 +223,13 @@ def _clusters(network: PoseGraph, lone: Flags, suspect: Flags, believed: Flags) 
     return groups(len(suspect), np.append(first[remaining], fixed[:-1]), np.append(second[remaining], fixed[1:]))
 
 
-def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Numbers:
+def _placed(ties: _Ties, size: Numbers, surprise: Numbers, precision: Numbers) -> Numbers:
     """Return the displacement [clusters, d] of each cluster, after placing all of them."""
     moved = np.zeros_like(surprise)
     placed = _largest(ties, size)
     together = np.minimum(size, ARBITRATION.most_together)
     while len((proposals := ties.proposals(placed, moved)).cluster):
-        best = _best(proposals, surprise, sigma, together)
+        best = _best(proposals, surprise, precision, together)
         first = best.confirmed if np.any(best.confirmed) else _least_prior_residual(best, ties, len(size))
         by_stage = np.where(np.any(first), best.surprise < -1, True)
         chosen = first | by_stage
@@ -234,21 +247,17 @@ def _largest(ties: _Ties, size: Numbers) -> Flags:
     return largest
 
 
-def _best(proposals: _Proposals, surprise: Numbers, sigma: Numbers, together: Numbers) -> _Choice:
+def _best(proposals: _Proposals, surprise: Numbers, precision: Numbers, together: Numbers) -> _Choice:
     """Return for each cluster the proposal with the least disagreement of its edges and prior residual."""
     cluster, start, count = np.unique(proposals.cluster, return_index=True, return_counts=True)
     voting = np.minimum(count, ARBITRATION.most_ties)
     some = np.repeat(start, voting) + count_up(voting)
     many = np.repeat(voting, voting)
     one, other = np.repeat(some, many), np.repeat(np.repeat(start, voting), many) + count_up(many)
-    distance2 = np.sum(proposals.precision[other] * (proposals.move[other] - proposals.move[one]) ** 2, axis=1)
+    distance2 = _weighed(proposals.move[other] - proposals.move[one], proposals.precision[other])
     disagreement = np.bincount(one, np.minimum(distance2, ARBITRATION.agrees), len(proposals.cluster))
     agreeing = np.bincount(one, distance2 < ARBITRATION.agrees, len(proposals.cluster))
-    far = (
-        together[proposals.cluster]
-        * _chi2(surprise[proposals.cluster] + proposals.move * (proposals.precision > 0), sigma)
-        / 2
-    )
+    far = together[proposals.cluster] * _weighed(surprise[proposals.cluster] + proposals.move, precision) / 2
     best = some[_least(disagreement[some] + far[some], voting)]
     return _Choice(cluster, proposals.move[best], agreeing[best] > 1, far[best])
 
@@ -267,8 +276,9 @@ def _mean_of(values: Numbers, cluster: Int32s) -> Numbers:
     return np.column_stack([np.bincount(cluster, column) for column in values.T]) / np.bincount(cluster)[:, None]
 
 
-def _chi2(values: Numbers, sigma: Numbers) -> Numbers:
-    return np.sum((values / sigma) ** 2, axis=1)
+def _weighed(values: Numbers, precision: Numbers) -> Numbers:
+    """Return the squares [n] of vectors [n, d] in the metric of a precision, [d, d] or [n, d, d]."""
+    return np.einsum("na,nab,nb->n", values, np.broadcast_to(precision, (len(values), *precision.shape[-2:])), values)
 
 
 def _least(cost: Numbers, lengths: Ints) -> Ints:
