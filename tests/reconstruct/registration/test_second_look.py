@@ -9,6 +9,8 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from tests.support.overlapping_tiles import PIXEL_UM, Sample, a_field, a_sample
+from tests.truth.drawn_grids import PIXEL_UM as DRAWN_PIXEL_UM
+from tests.truth.drawn_grids import drawn, made
 from wafer_viewer.model.surface.field_poses import RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.pair_registration import refine, register
@@ -82,6 +84,32 @@ def test_noise_alone_is_not_alike():
     shifts = register(heights, PAIR)
     assert shifts.doubt[0] == RejectionReason.BLANK
     assert not looked(heights, shifts, (0.0, 0.0), 5.0).believed.any()
+
+
+def test_a_match_that_may_be_chance_counts_where_the_poses_allow_it():
+    """The search ended at the true place, but not surely; no beginning about the expected one comes near it."""
+    heights = two_fields(stripes((150, 300), 0.6))
+    told = lost(heights, RejectionReason.AMBIGUOUS)
+    told = dataclasses.replace(told, u_x_um=(known := register(heights, PAIR)).u_x_um, u_y_um=known.u_y_um)
+    across = np.array([np.sin(0.6), np.cos(0.6)])  # to the right and up
+    at = np.array([told.x_um[0], told.y_um[0]]) / PIXEL_UM
+    x_px, y_px = (at + 12.0 * across).tolist()
+    found = looked(heights, told, (x_px, y_px), 6.0)
+    assert found.believed.all()
+    assert abs((np.array([found.x_um[0], found.y_um[0]]) / PIXEL_UM - at) @ across) < 0.1
+    assert not looked(heights, told, (x_px, y_px), 2.0).believed.any()
+
+
+@pytest.mark.parametrize(("seed", "pair"), [(71, (19, 24)), (292, (16, 17))], ids=str)
+def test_lines_in_noise_that_fit_at_full_resolution_are_found(seed: int, pair: tuple[int, int]):
+    """Between binned pixels their correlation is 0.6 to 0.7, which chance may reach too; refined it is about 0.9."""
+    grid = made(drawn(seed))
+    first, second = pair
+    shifts = register(grid.heights, np.array([pair], np.int32))
+    assert shifts.doubt[0] in (RejectionReason.NONE, RejectionReason.AMBIGUOUS)
+    moved = (grid.true_um - grid.stage_um)[second] - (grid.true_um - grid.stage_um)[first]
+    across = np.array([np.sin(grid.drawn.angle), np.cos(grid.drawn.angle)])
+    assert abs((np.array([shifts.x_um[0], shifts.y_um[0]]) - moved) @ across) < 0.2 * DRAWN_PIXEL_UM
 
 
 def test_a_match_far_from_where_it_is_expected_is_not_accepted():

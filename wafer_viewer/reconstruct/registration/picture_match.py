@@ -43,8 +43,7 @@ class MatchSearchParameters:
         Significance below which a match may be chance; the highest of several hundred correlations of unrelated images
         is three to four deviations high.
     like : float
-        Smallest correlation of a match that may be chance: coarse structures have few independent pixels and may
-        correlate by chance.
+        Smallest correlation of a candidate that may be chance, between binned pixels that noise makes less alike.
     nearly : float
         Minimum significance of a candidate relative to the best; fine patterns may lose half of it between search
         pixels.
@@ -78,7 +77,7 @@ class MatchSearchParameters:
     around: int = 11
     least_share: float = 0.3
     sure_sigmas: float = 7.0
-    like: float = 0.7
+    like: float = 0.5
     nearly: float = 0.35
     patterned: int = 6
     candidates: int = 60
@@ -103,7 +102,9 @@ class MatchAcceptanceParameters:
     Parameters
     ----------
     surely_like : float
-        Smallest correlation of a match that may be chance; below, it is ambiguous rather than unlike.
+        Smallest correlation of a match that may be chance; below, it is ambiguous.
+    like : float
+        The same, below which it is unlike: coarse structures have few independent pixels and may correlate by chance.
     clearly : float
         Smallest correlation of a rival, relative to the best.
     unexplained : float
@@ -126,6 +127,7 @@ class MatchAcceptanceParameters:
     """
 
     surely_like: float = 0.9
+    like: float = 0.7
     clearly: float = 0.8
     unexplained: float = 2.0
     never_explained: float = 0.003
@@ -188,10 +190,10 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
         window, reach = _window(first, second, reach_px, factor)
         one, other = read(first, *window.first), read(second, *window.second)
         lags, by_chance = _candidates(one, other, window, factor, reach)
-    if not lags:
+    fits, unseen = _refined(one, other, lags, factor, window, reach_px)
+    if by_chance and not (fits and fits[0].correlation > MATCH_ACCEPTANCE.like):
         both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
         return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
-    fits, unseen = _refined(one, other, lags, factor, window, reach_px)
     return _judged(fits, unseen, by_chance, window, reach_px) if fits else _nowhere(RejectionReason.UNLIKE)
 
 

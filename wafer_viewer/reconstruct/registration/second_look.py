@@ -2,7 +2,8 @@
 
 A search over all shifts needs a match that stands out among hundreds. In narrow overlaps, in noise, and along lines a
 true match may not. Where the other overlaps, or the stage, say about where it should be, a few refinements from there
-decide: the pictures are accepted only if they are alike, and if all beginnings that end in a likeness agree.
+and from the best match of the search decide: the pictures are accepted only if they are alike, and if all beginnings
+that end in a likeness agree.
 """
 
 from __future__ import annotations
@@ -37,22 +38,27 @@ def look_again(shifts: Shifts, expected_um: Numbers, u_um: Numbers, pixel_um: fl
     """Return the shifts with those lost overlaps accepted that fit where they are expected.
 
     expected_um: [e, 2]; u_um: its standard uncertainty along an axis, [e]. Patterns that repeat are left open. Where
-    there seemed to be nothing to compare, only the expected shift is tried.
+    there seemed to be nothing to compare, only the expected shift is tried. A match of the search that may be chance is
+    tried too, however far the poses allow it.
     """
     lost = np.flatnonzero(np.isin(shifts.doubt, _LOST) & ~shifts.repeats)
     if not len(lost):
         return shifts
-    many = (u_um[lost] > SURE_PX * pixel_um) & (shifts.doubt[lost] != RejectionReason.BLANK)
-    ends: list[Shifts] = []
-    for step in _STEPS:
-        moved = many[:, None] * np.array(step) * STEP_PX * pixel_um
-        some = np.flatnonzero(np.hypot(*moved.T) > 0) if any(step) else np.arange(len(lost))
-        pairs = np.column_stack((shifts.first, shifts.second))[lost[some]]
-        found = refine(pairs, (expected_um[lost] + moved)[some]) if len(some) else None
-        ends.append(_spread(found, some, selected(shifts, lost)))
-    best = _agreed(ends, pixel_um)
-    off_um = np.column_stack((best.x_um, best.y_um)) - expected_um[lost]
+    pairs, at_um = np.column_stack((shifts.first, shifts.second))[lost], expected_um[lost]
     reach_um = REACH_SIGMAS * np.maximum(u_um[lost], SURE_PX * pixel_um)
+    many = (u_um[lost] > SURE_PX * pixel_um) & (shifts.doubt[lost] != RejectionReason.BLANK)
+    searched = selected(shifts, lost)
+    found_um = np.column_stack((searched.x_um, searched.y_um))
+    near = _determined_um(searched, found_um - at_um) < reach_um
+    begins = [(many | (not any(step)), at_um + np.array(step) * STEP_PX * pixel_um) for step in _STEPS]
+    begins.append((near & (searched.correlation > LEAST_CORRELATION), found_um))
+    ends: list[Shifts] = []
+    for those, begin_um in begins:
+        some = np.flatnonzero(those)
+        found = refine(pairs[some], begin_um[some]) if len(some) else None
+        ends.append(_spread(found, some, searched))
+    best = _agreed(ends, pixel_um)
+    off_um = np.column_stack((best.x_um, best.y_um)) - at_um
     accepted = best.believed & (_determined_um(best, off_um) < reach_um)
     return _replaced(shifts, lost[accepted], selected(best, accepted))
 
