@@ -14,7 +14,9 @@ from wafer_viewer.reconstruct.pose_graph.candidate_choice import Choice, choose_
 REACH_PX = 40.0
 
 
-def patterned(fields: Fields, pitch_px: float, seed: int, unique: float = 0.0) -> tuple[Shifts, Numbers]:
+def patterned(
+    fields: Fields, pitch_px: float, seed: int, unique: float = 0.0, reach_px: float = REACH_PX
+) -> tuple[Shifts, Numbers]:
     """Overlaps that fit at every period within reach, and where the fields are, [n, 2]; unique: fraction with marks."""
     rng = np.random.default_rng(seed)
     shifts, true = shifts_of(fields, rng)
@@ -24,7 +26,7 @@ def patterned(fields: Fields, pitch_px: float, seed: int, unique: float = 0.0) -
     marked = rng.random(len(shifts.first)) < unique
     for row, x_um, y_um, is_marked in zip(table, shifts.x_um, shifts.y_um, marked, strict=True):
         at = lattice + np.array([x_um, y_um])
-        at = at[np.abs(at).max(axis=1) < REACH_PX * PIXEL_UM]
+        at = at[np.abs(at).max(axis=1) < reach_px * PIXEL_UM]
         at = at[np.argsort(np.hypot(*at.T), kind="stable")][:25]
         wrong = np.hypot(*(at - (x_um, y_um)).T) > PIXEL_UM
         row[: len(at), :2] = at
@@ -140,6 +142,32 @@ def test_what_was_measured_at_the_chosen_period_is_not_measured_again():
     assert not choice.to_measure.any()
     assert choice.shifts.believed.all()
     assert not chosen(fields, dataclasses.replace(known, x_um=at[:, 0] + 60 * PIXEL_UM)).shifts.believed.any()
+
+
+@pytest.mark.parametrize("seed", [8, 9, 11, 12, 19])
+def test_neighbours_that_hold_each_other_do_not_lie_a_period_off_together(seed):
+    """A mark in their overlap holds them at each other; of the overlaps around, one of each speaks for the truth."""
+    pitch_px, pair = STAGE_PX / 0.12, np.array([12, 13])
+    fields = grid(5, 5)
+    shifts, true = patterned(fields, pitch_px, seed, reach_px=3 * pitch_px)
+    late_um = np.zeros(25)
+    late_um[pair] = 0.54 * pitch_px * PIXEL_UM - (true[:, 0] - fields.x_um)[pair]
+    told = dataclasses.replace(fields, x_um=fields.x_um - late_um)
+    first, second = fields.pairs.T
+    moved = true - np.column_stack((told.x_um, told.y_um))
+    at = moved[second] - moved[first]
+    table, doubt = shifts.candidates.copy(), shifts.doubt.copy()
+    table[:, :, 0] += (late_um[second] - late_um[first])[:, None]
+    n_of_pair = np.isin(fields.pairs, pair).sum(axis=1)
+    telling = [next(e for e in np.flatnonzero(n_of_pair == 1) if n in fields.pairs[e]) for n in pair]
+    wrong = np.abs(table[telling, :, :2] - at[telling, None]).max(axis=2) > PIXEL_UM
+    table[telling, :, 5] = np.where(wrong, 4.0, 0.0)
+    table[n_of_pair == 2] = np.nan
+    doubt[n_of_pair == 2] = 0
+    known = dataclasses.replace(shifts, candidates=table, doubt=doubt, x_um=at[:, 0], y_um=at[:, 1])
+    choice = chosen(told, known)
+    assert choice.to_measure.mean() > 0.8
+    assert np.abs(error_px(told, true, choice)).max() < 1.0
 
 
 def test_a_few_patterns_among_very_many_fields_are_chosen_like_those_of_few_fields():

@@ -255,7 +255,7 @@ def test_oblique_lines_hold_a_field_between_two_parts_that_the_stage_has_off():
     off_px = 16.0 * np.array([-np.sin(turn), np.cos(turn)])
     for seed in range(20):
         shifts, _ = lines(fields, seed, turn)
-        x_um, y_um = (told + towards * px * PIXEL_UM for told, px in zip((shifts.x_um, shifts.y_um), off_px, strict=True))
+        x_um, y_um = shifts.x_um + towards * off_px[0] * PIXEL_UM, shifts.y_um + towards * off_px[1] * PIXEL_UM
         found = solved(fields, dataclasses.replace(shifts, x_um=x_um, y_um=y_um))
         n_rejected += not found.shifts.believed.all()
     assert n_rejected <= 2

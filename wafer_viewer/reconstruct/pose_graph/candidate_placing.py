@@ -127,8 +127,20 @@ class Placing:
             before = self.place.copy()
             self._relax()
             _put_each(movable, self._surroundings())
+            self._put_pairs()
             if n > 1 and np.abs(self.place - before).max(initial=0) < CHOICE.near_px / 2:
                 break
+
+    def _put_pairs(self) -> None:
+        """Move pairs of neighbours by a period together where that is likelier, and limit their odds by it.
+
+        An overlap that shows what is there once only holds both at each other, one by one wherever they are.
+        """
+        periods = self.graph.periods_px
+        periods = periods[np.isfinite(periods).all(axis=1)]
+        movable = self.placed & ~self.fixed
+        pairs = np.flatnonzero(movable[self.graph.first] & movable[self.graph.second])
+        _put_each_pair(pairs, np.concatenate((periods, -periods)), self._surroundings())
 
     def cost_nats(self) -> float:
         """Return minus the log likelihood of all places, apart from a constant."""
@@ -423,6 +435,57 @@ def _put_each(fields: Ints, at: _Surroundings) -> None:
     """Put each field to its best place, one after the other."""
     for n in range(fields.size):
         _put(fields[n], at)
+
+
+@lean_kernel
+def _put_each_pair(pairs: Ints, moves: Numbers, at: _Surroundings) -> None:
+    """Move both fields of each overlap by the best of some moves, [m, 2], if that is likelier."""
+    for n in range(pairs.size):
+        edge = int(pairs[n])
+        a, b = int(at.first[edge]), int(at.second[edge])
+        own = _cost_beside(a, b, 0.0, 0.0, at) + _cost_beside(b, a, 0.0, 0.0, at)
+        best, least = 0, 1e9
+        for m in range(moves.shape[0]):
+            x, y = float(moves[m, 0]), float(moves[m, 1])
+            cost = _cost_beside(a, b, x, y, at) + _cost_beside(b, a, x, y, at)
+            if cost < least:
+                best, least = m, cost
+        odds = abs(least - own)
+        at.odds[a], at.odds[b] = min(at.odds[a], odds), min(at.odds[b], odds)
+        if least < own:
+            for axis in range(2):
+                at.place[a, axis] += moves[best, axis]
+                at.place[b, axis] += moves[best, axis]
+
+
+@lean_kernel
+def _cost_beside(field: Int, beside: Int, move_x: Real, move_y: Real, at: _Surroundings) -> float:
+    """Return the cost of a field where it lies, moved by (x, y), without its overlap with the field beside it."""
+    x, y = at.place[field, 0] + move_x, at.place[field, 1] + move_y
+    dx, dy, prior = x - at.expected[field, 0], y - at.expected[field, 1], at.prior[field]
+    cost = (prior[0, 0] * dx * dx + 2 * prior[0, 1] * dx * dy + prior[1, 1] * dy * dy) / 2
+    for m in range(at.ends[field], at.ends[field + 1]):
+        e = int(at.edges[m])
+        other = int(at.first[e] + at.second[e] - field)
+        if other != beside and at.placed[other]:
+            sign = 1.0 if at.second[e] == field else -1.0
+            sx = sign * (x - at.place[other, 0] - at.stage[field, 0] + at.stage[other, 0])
+            sy = sign * (y - at.place[other, 1] - at.stage[field, 1] + at.stage[other, 1])
+            cost += _cost_of(e, sx, sy, at)
+    return cost
+
+
+@lean_kernel
+def _cost_of(e: Int, off_x: Real, off_y: Real, at: _Surroundings) -> float:
+    """Return the cost of an overlap at an offset."""
+    least = at.most_cost
+    for k in range(at.misfit.shape[1]):
+        if at.misfit[e, k] < least:
+            rx, ry = off_x - at.offset[e, k, 0], off_y - at.offset[e, k, 1]
+            off = at.precision[e, k, 0] * rx * rx + 2 * at.precision[e, k, 1] * rx * ry
+            off += at.precision[e, k, 2] * ry * ry
+            least = min(least, off / 2 + at.misfit[e, k])
+    return least
 
 
 @lean_kernel
