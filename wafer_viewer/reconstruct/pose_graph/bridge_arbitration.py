@@ -100,8 +100,6 @@ class ArbitrationParameters:
         Smallest number of degrees of freedom from which the stage error within cores is estimated.
     most_together : float
         Maximum effective number of averaged stage errors, which are not fully independent.
-    least_variance : float
-        Smallest variance of the stage's error in a direction, relative to the other: along lines none is seen.
     """
 
     agrees: float = 15.0
@@ -110,7 +108,6 @@ class ArbitrationParameters:
     most_ties: int = 64
     least_degrees: int = 8
     most_together: float = 8.0
-    least_variance: float = 1e-4
 
 
 ARBITRATION = ArbitrationParameters()
@@ -188,18 +185,18 @@ class _Choice:
 
 
 def _stage_precision(surprise: Numbers, core: Int32s, sigma: Numbers) -> Numbers:
-    """Return the inverse covariance [d, d] of the stage's error within cores.
+    """Return the inverse covariance [d, d] of the stage's error within cores, which errs alike in all directions.
 
-    At most `sigma` is believed, which a misplaced core overestimates. Where overlaps show lines, the stage's error
-    shows across them only, in both coordinates alike, and counts once.
+    At most `sigma` is believed, which a misplaced core overestimates. Where overlaps show lines, the error shows across
+    them only: the variance is the mean of those along the principal axes, weighted by themselves.
     """
     degrees = len(core) - len(np.unique(core))
     if degrees < ARBITRATION.least_degrees:
         return np.diag(sigma**-2.0)
     inside = surprise - _mean_of(surprise, core)[core]
-    variances, axes = np.linalg.eigh(inside.T @ inside / degrees)
-    variances = np.minimum(np.maximum(variances, ARBITRATION.least_variance * variances[-1]), np.max(sigma) ** 2)
-    return np.asarray((axes / variances) @ axes.T, np.float64)
+    covariance = inside.T @ inside / degrees
+    variance = np.sum(covariance**2) / max(float(np.trace(covariance)), 1e-30)
+    return np.diag(1 / np.minimum(np.maximum(variance, 1e-30), sigma**2))
 
 
 def _suspect(network: PoseGraph, surprise: Numbers, core: Int32s, precision: Numbers, believed: Flags) -> Flags:
