@@ -23,18 +23,17 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus_evidence import focus_curve
-from wafer_viewer.reconstruct.gates.edge_bleeding import (
-    BleedingEdges,
+from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, judge_edges
+from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, EdgeSide, find_band
+from wafer_viewer.reconstruct.gates.focus_along_walls import (
     Near,
     Tile,
     Wall,
-    judge_edges,
     noise_fall,
     peaks_near,
     tangential_levels,
     tangential_margin_px,
 )
-from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, EdgeSide, find_band
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
