@@ -365,7 +365,10 @@ class SessionCoordinator:
         self.defects.files.open()
 
     def _path_for(self, name: str) -> Path:
+        from wafer_viewer.store.dataset.writer import remove_half_made
+
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
+        remove_half_made(path)
         if path.exists():
             raise DatasetError(f"There is a dataset {path.name} already: choose another name, or continue its scan.")
         return path

@@ -7,8 +7,10 @@ import errno
 import numpy as np
 import pytest
 
+from wafer_viewer.model.spec import encode
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
+from wafer_viewer.session.acquisition.headless import scan_to
 from wafer_viewer.session.acquisition.rig_messages import FieldComplete, FrameTaken, Paused, Scan, ScanEnded, ScanFault
 from wafer_viewer.session.acquisition.scan_run import (
     Steering,
@@ -17,6 +19,7 @@ from wafer_viewer.session.acquisition.scan_run import (
     run_scan_job,
     writer_of,
 )
+from wafer_viewer.session.planning.headless import job_of_wafer
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -79,6 +82,19 @@ def test_a_full_disk_ends_it_with_a_sentence_and_what_is_kept_is_good(rig, scan,
     assert stored.check().damaged == ()
     with writer_of(go_on(scan), rig) as writer:
         assert run_scan_job(go_on(scan), rig, writer, lambda _: None, Steering()).error is None
+    assert Dataset.open(scan.path).check().ok
+
+
+def test_the_same_command_scans_after_it_was_killed_while_it_made_the_folder(rig, scan):
+    writer_of(scan, rig).close()
+    record = scan.path / "scan.json"
+    record.rename(scan.path / ".scan.json.999999-0a1b2c.part")
+    (scan.path / "manifest.json").unlink()
+    plan = scan.path.with_name("plan.toml")
+    plan.write_text(encode(scan.job))
+    job = job_of_wafer(plan, scan.path, {}, ())
+    ended = scan_to(scan.path, job, rig, lambda _: None, lambda _: None, lambda _: None)
+    assert (ended.error, ended.words) == (None, "30 of 30 frames kept")
     assert Dataset.open(scan.path).check().ok
 
 

@@ -65,6 +65,15 @@ def test_a_name_is_free_again_after_its_maker_was_killed(half_made):
     assert len(Dataset.open(path).fields) == 2
 
 
+def test_a_name_is_free_at_once_after_its_maker_was_killed(half_made):
+    path, maker = half_made
+    maker.send_signal(signal.SIGKILL)
+    maker.wait()
+    os.utime(path)
+    create(path).close()
+    assert len(Dataset.open(path).fields) == 2
+
+
 def test_a_folder_with_anything_of_somebody_is_never_removed(tmp_path):
     for name in ("notes.txt", "results/default", "scan.json"):
         path = tmp_path / f"{name.replace('/', '-')}.wafer"

@@ -28,6 +28,7 @@ from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import free_bytes, look_before, plan_of
 from wafer_viewer.session.planning.preflight import Preflight, PreflightCheck, preflight
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.writer import remove_half_made
 from wafer_viewer.store.records.gauge_records import calibration_in_force
 
 Result = TypeVar("Result")
@@ -56,6 +57,7 @@ def scan_to(
     Damaged frames are taken again. Raises DatasetError when the dataset cannot be written or there is nothing to take,
     PlanError when it belongs to another job.
     """
+    remove_half_made(path)
     if path.exists():
         scan = _continued_scan(path, job)
     else:

@@ -16,6 +16,7 @@ from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
 from wafer_viewer.session.planning.verdicts import verdict_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.scan_record import RECORD
 
 
 def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, result: str, folder: Path) -> Job:
@@ -73,8 +74,10 @@ def stored_verdict_of(path: Path, result: str) -> WaferVerdict:
 
 
 def _is_of(out: Path, job: Job) -> bool:
+    if not (job.released and (out / RECORD).exists()):
+        return False
     begun: Any = Dataset.open(out).scan.job
-    return job.released and prepared(begun) == prepared(for_next_wafer(job))
+    return prepared(begun) == prepared(for_next_wafer(job))
 
 
 def _aligned(job: Job, corners_um: Sequence[float]) -> Job:

@@ -41,6 +41,7 @@ from wafer_viewer.store.dataset.scan_record import (
     FLAT_FIELD,
     FRAMES,
     JOURNAL,
+    RECORD,
     RESULTS,
     ScanRecord,
     frames_file,
@@ -378,24 +379,30 @@ def _part(path: Path) -> Path:
 
 
 def _make_folder(folder: Path) -> None:
-    _remove_half_made(folder)
+    remove_half_made(folder)
     if folder.exists():
         raise DatasetError(f"{folder} exists already: choose another name, or continue its scan.")
     with os_errors_as_dataset_errors(folder):
         folder.mkdir()
 
 
-def _remove_half_made(folder: Path) -> None:
-    """Remove a folder whose process was killed before it was a dataset: no record, no frame, and nobody makes it."""
+def remove_half_made(folder: Path) -> None:
+    """Remove a folder whose process was killed before it was a dataset: no record, no frame, and nobody makes it.
+
+    A folder that is younger than `_MAKING_S` is waited for: its process may be about to lock it. Raises DatasetError when
+    a process makes it.
+    """
     if not folder.is_dir() or any(not _OF_NEW_FOLDER.fullmatch(path.name) for path in folder.iterdir()):
         return
     journal, results = folder / JOURNAL, folder / RESULTS
     if (journal.exists() and journal.stat().st_size) or (results.is_dir() and any(results.iterdir())):
         return
-    if time.time() - folder.stat().st_mtime < _MAKING_S:
-        return
+    age_s = time.time() - folder.stat().st_mtime
+    if 0 <= age_s < _MAKING_S:
+        time.sleep(_MAKING_S - age_s)
     lock = Lock.take(folder)
-    remove(folder)
+    if not (folder / RECORD).exists():  # nor has it become a dataset meanwhile
+        remove(folder)
     lock.release()
 
 
