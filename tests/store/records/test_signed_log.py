@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.store.io.checksums import append_bytes, sealed_line, strip_checksum
+from wafer_viewer.store.records import signed_log
 from wafer_viewer.store.records.signed_log import append_record, read_log
 from wafer_viewer.store.records.signing_key import KEPT_IN, KEY_FILE, KNOWN_KEYS, known_public_key, signing_key
 
@@ -192,6 +193,25 @@ def test_a_crash_before_the_head_was_written_loses_nothing(folder):
     assert len(read_log(folder / "log.jsonl", Entry).records) == 13
     append_record(folder / "log.jsonl", entry(13))
     assert len(read_log(folder / "log.jsonl", Entry).records) == 14
+
+
+def test_a_crash_before_the_first_head_was_written_loses_nothing(tmp_path, monkeypatch):
+    path, save, saved = tmp_path / "log.jsonl", signed_log.save_json, []
+
+    def save_until_the_line_is_there(file, spec):
+        if path.exists():
+            raise KeyboardInterrupt
+        saved.append(spec)
+        save(file, spec)
+
+    monkeypatch.setattr(signed_log, "save_json", save_until_the_line_is_there)
+    with pytest.raises(KeyboardInterrupt):
+        append_record(path, entry(0))
+    monkeypatch.undo()
+    assert [head.lines for head in saved] == [0]
+    assert len(read_log(path, Entry).records) == 1
+    append_record(path, entry(1))
+    assert len(read_log(path, Entry).records) == 2
 
 
 def _append_some(path, first):

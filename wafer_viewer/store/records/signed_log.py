@@ -15,12 +15,12 @@ import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
 
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.spec import Count, Spec, decode
+from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.io.checksums import (
     Checksum,
     append_bytes,
@@ -41,6 +41,9 @@ from wafer_viewer.store.records.signing_key import (
     trusted_keys,
 )
 
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
 S = TypeVar("S", bound=Spec)
 HEAD, LOCK = ".head", ".lock"
 RESTORE = "restore the log from a copy, or move it and its head away to begin a new one"
@@ -51,7 +54,7 @@ class LogHead(Spec, frozen=True, kw_only=True):
     """Number of lines of a log and the SHA-256 of its bytes when the last was written, signed."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
-    lines: Count
+    lines: Annotated[int, Within(0)]
     sha256: str
     key: str
     signature: str
@@ -94,14 +97,20 @@ def _append(path: Path, text: bytes) -> None:
     key, after, head = signing_key(path.parent), hashlib.sha256(before), _read_head(path)
     if head is None or not _is_own(head, after.hexdigest(), public_key(key)):
         _verify(path, before, head)
+    if head is None:  # a log with a signed line has a head, whenever the power is cut
+        _save_head(path, key, before.count(b"\n"), after.hexdigest())
     own, value = public_key(key), key.sign(_signed_bytes(after.digest(), text)).hex()
     link = f',"link":{{"after":"{after.hexdigest()}","key":"{own}","signature":"{value}"}}}}'
     line = sealed_line(text.removesuffix(b"}") + link.encode()) + b"\n"
     append_bytes(path, line)
     after.update(line)
-    n_lines = before.count(b"\n") + 1
-    signature = key.sign(_head_bytes(n_lines, after.hexdigest())).hex()
-    save_json(_head_path(path), LogHead(lines=n_lines, sha256=after.hexdigest(), key=own, signature=signature))
+    _save_head(path, key, before.count(b"\n") + 1, after.hexdigest())
+
+
+def _save_head(path: Path, key: Ed25519PrivateKey, n_lines: int, sha256: str) -> None:
+    """Sign the number of lines of a log and the digest of its bytes."""
+    signature = key.sign(_head_bytes(n_lines, sha256)).hex()
+    save_json(_head_path(path), LogHead(lines=n_lines, sha256=sha256, key=public_key(key), signature=signature))
 
 
 def _is_own(head: LogHead, sha256: str, own: str) -> bool:
