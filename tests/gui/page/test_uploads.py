@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import viser._messages as viser_messages
 
 from wafer_viewer.gui.page import uploads
 from wafer_viewer.gui.page.uploads import KEPT_S, MOST_KEPT, UploadFolder, refuse_upload, remove_orphans, save_upload
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
 
@@ -47,6 +49,18 @@ def test_two_files_of_one_name_do_not_meet(tmp_path: Path) -> None:
     folder = UploadFolder(tmp_path)
     first, second = (folder.save("scan.csv", content, "upload") for content in (b"1", b"2"))
     assert (first.read_bytes(), second.read_bytes()) == (b"1", b"2")
+
+
+def test_of_a_file_that_the_disk_has_no_space_for_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(path: Path, content: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    with pytest.raises(DatasetError, match=r"scan\.csv was sent and cannot be kept in .*: the disk is full\. Free some"):
+        UploadFolder(tmp_path).save("scan.csv", b"123456", "upload")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes of POSIX")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import os
 import shutil
 import tempfile
@@ -19,6 +20,7 @@ import viser._messages as viser_messages
 
 from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES, UploadStart
 from wafer_viewer.gui.page.page import Page
+from wafer_viewer.model.errors import DatasetError
 
 MOST_KEPT, MOST_KEPT_BYTES = 8, 2 * MOST_UPLOAD_BYTES
 KEPT_S = 8 * 3600.0
@@ -58,14 +60,32 @@ class UploadFolder:
         self._lock = threading.Lock()
 
     def save(self, name: str, content: bytes, otherwise: str) -> Path:
-        """Save a file, and remove those that there is no more room or time for."""
-        target = Path(tempfile.mkdtemp(dir=self._folder)) / _safe_name(name, otherwise)
-        target.write_bytes(content)
+        """Save a file, and remove those that there is no more room or time for.
+
+        Raises DatasetError when it cannot be written.
+        """
+        target = self._written(_safe_name(name, otherwise), content)
         with self._lock:
             self._kept.append((self._clock(), target.parent, len(content)))
         self.sweep()
         _later(self.sweep)
         return target
+
+    def _written(self, name: str, content: bytes) -> Path:
+        """Write a file into a folder of its own, and leave nothing if that fails."""
+        folder = None
+        try:
+            folder = Path(tempfile.mkdtemp(dir=self._folder))
+            (folder / name).write_bytes(content)
+        except OSError as fault:
+            if folder is not None:
+                shutil.rmtree(folder, ignore_errors=True)
+            why = "the disk is full" if fault.errno in (errno.ENOSPC, errno.EDQUOT) else str(fault.strerror).lower()
+            raise DatasetError(
+                f"{name} was sent and cannot be kept in {self._folder}: {why}. Free some space there, or open the file "
+                "by its path."
+            ) from fault
+        return folder / name
 
     def sweep(self) -> None:
         """Remove what is too old, and the oldest files beyond the number and the size that are kept."""
