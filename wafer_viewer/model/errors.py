@@ -51,6 +51,10 @@ class DatasetError(WaferViewerError):
     """Files are missing, damaged, locked by another process or of the wrong kind."""
 
 
+class DiskFullError(DatasetError):
+    """The disk, or the quota of the user, has no space for what is to be written."""
+
+
 class ComputeError(WaferViewerError):
     """A reconstruction or stitching is impossible with the given data."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ import time
 import pytest
 
 from tests.support.datasets.samples import make_job, make_plan
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, DiskFullError
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.writer import DatasetWriter
@@ -113,3 +114,19 @@ def test_dead_parts_are_removed_by_whoever_takes_the_dataset_next(tmp_path):
     assert not dead_file.exists()
     assert young.exists(), "it may be that of a machine that works on the dataset, too"
     assert alive.exists()
+
+
+def test_a_lock_on_a_full_disk_is_refused_with_a_sentence_and_not_held(tmp_path, monkeypatch):
+    create(tmp_path / "a.wafer").close()
+    write = os.write
+
+    def full(descriptor, content):
+        if content:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(descriptor, content)
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(DiskFullError, match=r"lock cannot be written: the disk is full: free some space"):
+        Lock.take(tmp_path / "a.wafer")
+    monkeypatch.undo()
+    Lock.take(tmp_path / "a.wafer").release()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wafer_viewer.compute.dask_worker import attempt
 from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, crew_for, n_local_workers, require_tls
-from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
+from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.focus_curve import FocusCurve
@@ -204,10 +204,15 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
 def _reconstruct(
     data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: TaskRunner, tell: Progress, warn: Warn
 ) -> None:
-    """Compute the heights of fields; failed ones are reported. Raises ComputeError if no field has any."""
+    """Compute the heights of fields; failed ones are reported.
+
+    Raises ComputeError if no field has any, DiskFullError at the first that there is no space for.
+    """
     faults: list[str] = []
     for n_done, (number, fault) in enumerate(_outcomes(data, result, recipe, todo, crew, tell), 1):
         tell(n_done / len(todo))
+        if isinstance(fault, DiskFullError):
+            raise fault
         if fault is not None:
             faults.append(f"Field {number} has no heights and is left out. {fault}")
             warn(faults[-1])

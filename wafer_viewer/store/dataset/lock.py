@@ -56,7 +56,12 @@ class Lock:
         if held or _elsewhere(holder):
             os.close(descriptor)
             raise DatasetError(_refusal(folder, holder, held))
-        _write(descriptor, msgspec.json.encode(Holder(os.getpid(), socket.gethostname(), _now())))
+        try:
+            with os_errors_as_dataset_errors(folder / "lock"):
+                _write(descriptor, msgspec.json.encode(Holder(os.getpid(), socket.gethostname(), _now())))
+        except DatasetError:
+            os.close(descriptor)
+            raise
         remove_dead_parts(folder, but=_NOT_OURS)
         return cls(descriptor)
 

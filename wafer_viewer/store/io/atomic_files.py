@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, DiskFullError
 
 _PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part(\.old)?")
 """Name of a file or folder that is being written, or was replaced, with the number of the process."""
@@ -26,6 +26,7 @@ _NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
 """Errors by which file systems say that they have nothing to wait for in a folder."""
 DEAD_AFTER_S = 900.0
 """Age of the last change from which a part of no running process is dead; a live one changes every few seconds."""
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 _MENDS = {
     errno.ENOSPC: "the disk is full: free some space or choose another folder",
     errno.EDQUOT: "the quota is used up: free some space or choose another folder",
@@ -54,7 +55,7 @@ def atomic_write(path: Path) -> Generator[Path]:
                 _all_to_disk(temporary)
             _move(temporary, path, wait=not is_inside_part)
     except DatasetError as fault:  # report the name that the user knows
-        raise DatasetError(str(fault).replace(temporary.name, path.name)) from fault
+        raise type(fault)(str(fault).replace(temporary.name, path.name)) from fault
     finally:
         remove(temporary)
 
@@ -105,12 +106,13 @@ def _all_to_disk(path: Path) -> None:
 
 @contextmanager
 def os_errors_as_dataset_errors(path: Path) -> Generator[None]:
-    """Convert an OSError on writing `path` to a DatasetError of one sentence."""
+    """Convert an OSError on writing `path` to a DatasetError of one sentence; DiskFullError if there is no space."""
     try:
         yield
     except OSError as fault:
         mend = _MENDS.get(fault.errno or 0, f"{(fault.strerror or str(fault)).lower()}: choose another folder")
-        raise DatasetError(f"{path} cannot be written: {mend}.") from fault
+        error = DiskFullError if fault.errno in _FULL else DatasetError
+        raise error(f"{path} cannot be written: {mend}.") from fault
 
 
 def new_file(folder: Path, name: str, ending: str) -> Path:
