@@ -53,9 +53,11 @@ def reconstruct_field(
     stored = data.result(result)
     recipe = stored.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
-    stored.save_surface(data.field(field_number), surface)
     if recipe.heights_have_auto and is_representative(surface):
+        # First: after an interruption the field is made again with these values, which gives the same bytes. The other
+        # way round the next field would choose for all others.
         stored.save_settled(surface.provenance.recipe)
+    stored.save_surface(data.field(field_number), surface)
 
 
 def compress_frames(
