@@ -16,7 +16,7 @@ from wafer_viewer.model.errors import DatasetError, DiskFullError
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S
+from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S, write_text
 
 MAKING = """
 import sys, pathlib, time
@@ -130,3 +130,16 @@ def test_a_lock_on_a_full_disk_is_refused_with_a_sentence_and_not_held(tmp_path,
         Lock.take(tmp_path / "a.wafer")
     monkeypatch.undo()
     Lock.take(tmp_path / "a.wafer").release()
+
+
+def test_what_is_left_of_a_killed_export_is_removed_by_the_next_one(tmp_path):
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    dead, young = (tmp_path / f".[1] a.ply.{gone.pid}-{n}a1b2c.part" for n in "01")
+    other, alive = tmp_path / f".b.ply.{gone.pid}-0a1b2c.part", tmp_path / f".[1] a.ply.{os.getpid()}-0a1b2c.part"
+    for path in (dead, young, other, alive):
+        path.write_text("half")
+    for path in (dead, other, alive):
+        aged(path)
+    write_text(tmp_path / "[1] a.ply", "whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"[1] a.ply", young.name, other.name, alive.name}

@@ -389,8 +389,8 @@ def _make_folder(folder: Path) -> None:
 def remove_half_made(folder: Path) -> None:
     """Remove a folder whose process was killed before it was a dataset: no record, no frame, and nobody makes it.
 
-    A folder that is younger than `_MAKING_S` is waited for: its process may be about to lock it. Raises DatasetError when
-    a process makes it.
+    A folder that is younger than `_MAKING_S` is waited for: its process may be about to lock it. Raises DatasetError
+    when a process makes it.
     """
     if not folder.is_dir() or any(not _OF_NEW_FOLDER.fullmatch(path.name) for path in folder.iterdir()):
         return

@@ -7,6 +7,7 @@ before the name is, and the name before the writer returns.
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import re
 import secrets
@@ -24,6 +25,8 @@ _PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part(\.old)?")
 """Name of a file or folder that is being written, or was replaced, with the number of the process."""
 _NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
 """Errors by which file systems say that they have nothing to wait for in a folder."""
+_TIDIED = ".wafer"
+"""Ending of datasets: whoever takes the lock of one removes all dead parts in it, where many are written."""
 DEAD_AFTER_S = 900.0
 """Age of the last change from which a part of no running process is dead; a live one changes every few seconds."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -43,11 +46,13 @@ _MENDS = {
 def atomic_write(path: Path) -> Generator[Path]:
     """Context manager for an atomic write: yields a temporary path, renamed to `path`, or removed on failure.
 
-    The path may be a file or a folder. It is on the disk at the end; inside another part, when that is. Raises
-    DatasetError when it cannot be written to.
+    The path may be a file or a folder. What a killed process left of it is removed before. It is on the disk at the
+    end; inside another part, when that is. Raises DatasetError when it cannot be written to.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
     is_inside_part = any(_PART.fullmatch(parent.name) for parent in path.parents)
+    if not any(parent.suffix == _TIDIED for parent in path.parents):
+        _remove_dead_parts_of(path)
     try:
         with os_errors_as_dataset_errors(path):
             yield temporary
@@ -58,6 +63,14 @@ def atomic_write(path: Path) -> Generator[Path]:
         raise type(fault)(str(fault).replace(temporary.name, path.name)) from fault
     finally:
         remove(temporary)
+
+
+def _remove_dead_parts_of(path: Path) -> None:
+    """Remove what killed processes left of a file or folder when they wrote it."""
+    with suppress(OSError):
+        for part in path.parent.glob(f".{glob.escape(path.name)}.*.part*"):
+            if _is_dead(part):
+                remove(part)
 
 
 def to_disk(path: Path) -> None:
