@@ -9,6 +9,7 @@ import psutil
 import pytest
 
 from tests.support.datasets import worker_tasks
+from wafer_viewer.compute import dask_cluster
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import Progressed
 from wafer_viewer.compute.task_runner import LocalRunner, crew_for
@@ -98,6 +99,16 @@ def test_a_killed_worker_costs_nothing_but_time(cluster):
             killed.append(done.value)
             psutil.Process(done.value).kill()
     assert killed
+
+
+def test_a_cluster_whose_worker_ends_while_it_starts_is_one_sentence(monkeypatch):
+    def ended(**_):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(dask_cluster, "LocalCluster", ended)
+    sentence = r"no cluster at this machine: Nanny failed to start\. Try again"
+    with pytest.raises(ComputeError, match=sentence), dask_cluster.client_of(None, 2):
+        pass
 
 
 def test_an_open_scheduler_is_refused():

@@ -123,9 +123,9 @@ def _where(place: str) -> Generator[None]:
     """Convert dask's errors about an unavailable cluster to a ComputeError with one sentence."""
     try:
         yield
-    except (OSError, TimeoutError, ValueError) as fault:
+    except (OSError, TimeoutError, ValueError, RuntimeError) as fault:  # RuntimeError: a worker ended while it started
         reason = " ".join(str(fault).split()).rstrip(".")
-        raise ComputeError(f"There is no cluster at {place}: {reason}.") from fault
+        raise ComputeError(f"There is no cluster at {place}: {reason}. Try again; what was done is kept.") from fault
 
 
 @contextmanager
