@@ -28,6 +28,7 @@ from wafer_viewer.store.formats.x3p import CHECKSUM
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses
 from wafer_viewer.store.records.golden_dies import open_golden, save_golden
 from wafer_viewer.store.records.inspection_records import save_defect_recipe
+from wafer_viewer.store.tables.csv_tables import read_study
 
 SECRET = "what another file holds"
 HARMFUL_NAMES = ("../../evil", "/etc/cron.d/evil", "..", "a/../../evil", "..\\..\\evil", "evil\0", "~root/evil")
@@ -203,3 +204,11 @@ def test_the_test_of_pickles_would_see_one_executed(tmp_path: Path) -> None:
     mark = tmp_path / "executed"
     pickle.loads(pickle.dumps(Planted(mark)))
     assert mark.exists()
+
+
+def test_a_name_of_a_study_is_shortened_in_the_sentence_about_it(tmp_path):
+    path = tmp_path / "study.csv"
+    path.write_text(f'part,appraiser,value\n1,A,1.0\n2,"{"(" * 5000}\n)",1.0\n')
+    with pytest.raises(WaferViewerError, match=r"part 1 has 0 values of \({80}, the first has 1: everyone") as refused:
+        read_study(path)
+    assert "\n" not in str(refused.value)

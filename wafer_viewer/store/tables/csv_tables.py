@@ -291,10 +291,15 @@ def read_study(path: Path) -> NDArray[np.float64]:
         for appraiser in appraisers:
             if (found := len(cells.get((part, appraiser), ()))) != trials:
                 raise MeasureError(
-                    f"{path.name}: part {part} has {found} values of {appraiser}, the first has {trials}: "
-                    f"everyone measures every part equally often."
+                    f"{path.name}: part {_brief(part)} has {found} values of {_brief(appraiser)}, the first has "
+                    f"{trials}: everyone measures every part equally often."
                 )
     return np.array([[cells[part, appraiser] for appraiser in appraisers] for part in parts])
+
+
+def _brief(name: str) -> str:
+    """Return a name of a file on one line, shortened."""
+    return " ".join(name.split())[:80]
 
 
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
