@@ -51,14 +51,18 @@ def test_two_files_of_one_name_do_not_meet(tmp_path: Path) -> None:
     assert (first.read_bytes(), second.read_bytes()) == (b"1", b"2")
 
 
-def test_of_a_file_that_the_disk_has_no_space_for_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_file_that_the_disk_has_no_space_for_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def write(path: Path, content: bytes) -> int:
         with path.open("wb") as file:
             file.write(content[: len(content) // 2])
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", write)
-    with pytest.raises(DatasetError, match=r"scan\.csv was sent and cannot be kept in .*: the disk is full\. Free some"):
+    with pytest.raises(
+        DatasetError, match=r"scan\.csv was sent and cannot be kept in .*: the disk is full\. Free some"
+    ):
         UploadFolder(tmp_path).save("scan.csv", b"123456", "upload")
     assert list(tmp_path.iterdir()) == []
 
