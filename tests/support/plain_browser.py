@@ -61,7 +61,9 @@ class PlainBrowser:
 
     def button(self, label: str) -> str | None:
         """Return the number of a button by its text, which may be a pattern; None if there is none."""
-        for uuid, widget in list(self.widgets.items()):
+        with self._something:
+            widgets = list(self.widgets.items())
+        for uuid, widget in widgets:
             if widget["type"] == "GuiButtonMessage" and re.fullmatch(label, str(widget["props"].get("label"))):
                 return uuid
         return None
@@ -78,7 +80,8 @@ class PlainBrowser:
 
     def pick(self, what: str, key: str = "") -> None:
         """Click what is drawn as HTML, by its word."""
-        field = next(u for u, w in self.widgets.items() if w["props"].get("label") == "picks")
+        with self._something:
+            field = next(u for u, w in self.widgets.items() if w["props"].get("label") == "picks")
         self._n_picks += 1
         text = msgspec.json.encode([[self._n_picks, what, key, 0]]).decode()
         self.send(viser_messages.GuiUpdateMessage(field, {"value": text}))
