@@ -126,7 +126,7 @@ def test_a_session_shows_a_procedure_as_work_and_cancels_it(session):
     coordinator = session._coordinator
     rig, queue = coordinator.rig, coordinator.command_queue
     seen = []
-    running = queue.do(rig.run_procedure, Visit((150_000.0, 0.0)), seen.append)
+    running = queue.do(rig.run_procedure, Visit((150_000.0, 0.0) * 1000), seen.append)  # until it is cancelled
     shown = session.wait_until(lambda s: s.works and s.rig.state == "working", PATIENCE_S)
     (work,) = shown.works
     assert (work.title, work.cancellable) == ("Visit places", True)
