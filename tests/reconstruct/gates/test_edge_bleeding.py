@@ -208,7 +208,7 @@ def test_few_heights_are_false_where_walls_narrow_the_aperture_or_the_border_hid
     ground beside the foot of a polished rim."""
     scene = drawn_scene(seed)
     found = quality(reconstruct(scene.stack, threads=1).to_measure(), scene.truth_um, scene.limit_um)
-    assert not found.false_fraction > 0.03  # nor where nothing is measured
+    assert not found.false_fraction > 0.04  # nor where nothing is measured
 
 
 def test_below_a_line_a_height_counts_where_the_focus_along_the_wall_confirms_it() -> None:
