@@ -128,7 +128,7 @@ class Bench:
         age_parts(data)
         words = self.words(stage, data)
         ended = self.commands.run(*words)
-        if ended.status and "has all its frames" not in ended.err:
+        if ended.status and not is_done(ended.err):
             first = ended.err.strip()
             time.sleep(RETRY_S)
             ended = self.commands.run(*words)
@@ -180,18 +180,23 @@ def kill_commands(bench: Bench, stage: str, tally: Tally, n_kills: int) -> None:
             ended = bench.commands.run(*bench.words(stage, data), strike=("kill", _operation(bench, stage), data))
             bench.orphans(ended.orphans, tally)
             tally.kills += ended.killed
-            if ended.status > 0 and "has all its frames" not in ended.err:
+            if ended.status > 0 and not is_done(ended.err):
                 tally.block(f"{stage}: {ended.err.strip()}")
                 time.sleep(RETRY_S)
             if stage == "scan":
                 kept = _compared(kept, frames(data / NAME), tally)
             if tally.kills == wanted:
                 break
-            if ended.status == 0 or "has all its frames" in ended.err:  # the strike came too late
+            if ended.status == 0 or is_done(ended.err):  # the strike came too late
                 bench.judge(stage, data, tally)
                 bench.lay_out(stage)
                 kept = {}
         bench.bring_to_end(stage, data, tally)
+
+
+def is_done(told: str) -> bool:
+    """Tell whether a command refuses because there is nothing left to do: the kill came at its very end."""
+    return "has all its frames" in told or "exists already" in told
 
 
 def _operation(bench: Bench, stage: str) -> int:

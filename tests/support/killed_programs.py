@@ -24,11 +24,15 @@ import psutil
 from tests.support.paths import ROOT
 from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.spec import encode, replace
+from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import map_pages
 from wafer_viewer.store.dataset.lock import holder_of
+from wafer_viewer.store.dataset.result import COMPARISON
 from wafer_viewer.store.dataset.scan_record import frames_file
 from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S
+from wafer_viewer.store.io.checksums import load_json
 
 PLAN = """
 z_start_um = -8.0
@@ -217,11 +221,18 @@ def content(data: Path) -> dict[str, str]:
         hidden = any(part.startswith(".") for part in name.parts)
         if hidden or path.name in _OF_THE_RUN or "frames" in name.parts or name.suffix == ".jsonl":
             continue
-        found[name.as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+        found[name.as_posix()] = hashlib.sha256(_without_number(path)).hexdigest()
     for dataset in data.glob("*.wafer"):
         if not dataset.name.startswith("."):
             found |= {f"{dataset.name}/{shot}": mark for shot, mark in frames(dataset).items()}
     return found
+
+
+def _without_number(path: Path) -> bytes:
+    """Return the content of a file; of a comparison without its number, which is another when it is made again."""
+    if path.name != COMPARISON:
+        return path.read_bytes()
+    return encode(replace(load_json(path, Comparison), number=0), "json").encode()
 
 
 def frames(dataset: Path) -> dict[str, str]:

@@ -16,7 +16,7 @@ from wafer_viewer.model.errors import DatasetError, DiskFullError
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S, write_text
+from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S, require_free, write_text
 
 MAKING = """
 import sys, pathlib, time
@@ -143,3 +143,15 @@ def test_what_is_left_of_a_killed_export_is_removed_by_the_next_one(tmp_path):
         aged(path)
     write_text(tmp_path / "[1] a.ply", "whole")
     assert {path.name for path in tmp_path.iterdir()} == {"[1] a.ply", young.name, other.name, alive.name}
+
+
+def test_what_is_left_of_a_killed_export_is_removed_where_a_later_one_was_whole(tmp_path):
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    whole, dead = tmp_path / "a.ome.zarr", tmp_path / f".a.ome.zarr.{gone.pid}-0a1b2c.part"
+    whole.mkdir()
+    dead.write_text("half")
+    aged(dead)
+    with pytest.raises(DatasetError, match=r"a\.ome\.zarr exists already: give the name of a new folder"):
+        require_free(whole)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ome.zarr"]

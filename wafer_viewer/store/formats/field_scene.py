@@ -20,7 +20,7 @@ from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.embedded_metadata import caveats
-from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.atomic_files import atomic_write, require_free
 from wafer_viewer.store.mosaic.layout import COARSEST_PX, NGFF_SCENE_VERSION, OWN, SURFACE
 
 if TYPE_CHECKING:
@@ -54,8 +54,7 @@ def write_scene(
 
     if path.suffix != ENDING:
         raise DatasetError(f"{path.name} is not the name of a scene: give one such as {path.stem}.ome.zarr.")
-    if path.exists():
-        raise DatasetError(f"{path} exists already: give the name of a new folder.")
+    require_free(path)
     with atomic_write(path) as temporary:
         root = zarr.create_group(temporary, zarr_format=3)
         each = with_progress(enumerate(fields), poses.numbers.size, "Writing the fields", progress, should_stop)

@@ -65,6 +65,13 @@ def atomic_write(path: Path) -> Generator[Path]:
         remove(temporary)
 
 
+def require_free(path: Path) -> None:
+    """Remove what killed processes left of a folder when they wrote it. Raises DatasetError if it exists."""
+    _remove_dead_parts_of(path)
+    if path.exists():
+        raise DatasetError(f"{path} exists already: give the name of a new folder.")
+
+
 def _remove_dead_parts_of(path: Path) -> None:
     """Remove what killed processes left of a file or folder when they wrote it."""
     with suppress(OSError):

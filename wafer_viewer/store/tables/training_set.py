@@ -17,7 +17,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.io.atomic_files import atomic_write, require_free
 from wafer_viewer.store.tables.csv_tables import TableWriter
 
 MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
@@ -68,8 +68,7 @@ def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Pa
     its longer extent, at least 32 and at most 512 pixels, cut off at the border of the surface.
     """
     place = Path(folder)
-    if place.exists():
-        raise DatasetError(f"{place} exists already: give the name of a new folder.")
+    require_free(place)
     if not inspection.found:
         raise DatasetError("There are no defects to write a training set of.")
     with atomic_write(place) as temporary:
