@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Generator, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -231,12 +232,15 @@ _TINY_X_UM = 0.0, 40.0
 
 
 def _stitch(heights: Sequence[HeightMap]) -> None:
-    """Stitch and write height maps, to nowhere."""
+    """Stitch and write height maps, to nowhere; they are too small for coarser levels, which are computed apart."""
+    from wafer_viewer.reconstruct.blending.stitched_mosaic import coarser_levels
     from wafer_viewer.reconstruct.stitching import stitch
     from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
     with TemporaryDirectory() as folder:
         write_mosaic(Path(folder) / "mosaic.zarr", stitch(heights))
+    for _ in islice(coarser_levels(heights[0]), 3):
+        pass
 
 
 def _tiny_surface(stack: FieldStack) -> HeightMap:
@@ -252,11 +256,14 @@ def _tiny_surface(stack: FieldStack) -> HeightMap:
 
 
 def _tiny_stack(x_um: float) -> FieldStack:
-    """Return a few frames of noise, sharpest in the middle."""
+    """Return a few frames of a sample of noise, sharpest in the middle."""
     import numpy as np
 
     noise = np.random.default_rng(1)
-    images = np.stack([noise.normal(128, 5 + 40 * np.exp(-((k - 3) ** 2)), (64, 64)).clip(0, 255) for k in range(8)])
+    sample, first = noise.normal(0, 1, (64, 64 + round(_TINY_X_UM[-1]))), round(x_um)
+    seen = sample[:, first : first + 64]
+    frames = (128 + (5 + 40 * np.exp(-((k - 3) ** 2))) * seen + noise.normal(0, 1, seen.shape) for k in range(8))
+    images = np.stack([frame.clip(0, 255) for frame in frames])
     return FieldStack(
         field=Field(number=1, row=0, col=0, x_um=x_um, y_um=0.0, z_start_um=0.0),
         images=images.astype(np.uint8),
