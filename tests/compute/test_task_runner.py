@@ -7,12 +7,13 @@ from contextlib import closing
 
 import psutil
 import pytest
+from distributed.comm import CommClosedError
 
 from tests.support.datasets import worker_tasks
 from wafer_viewer.compute import dask_cluster
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import Progressed
-from wafer_viewer.compute.task_runner import LocalRunner, crew_for
+from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner, crew_for
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.session.surface.worker_tasks import WARM_UP
 
@@ -109,6 +110,24 @@ def test_a_cluster_whose_worker_ends_while_it_starts_is_one_sentence(monkeypatch
     sentence = r"no cluster at this machine: Nanny failed to start\. Try again"
     with pytest.raises(ComputeError, match=sentence), dask_cluster.client_of(None, 2):
         pass
+
+
+@pytest.mark.parametrize("answer", [CommClosedError("Stream is closed"), ""])
+def test_a_worker_that_ends_while_it_is_asked_need_not_fit(answer):
+    class Client:
+        def run(self, *_, **__):
+            return {"tls://127.0.0.1:1": answer, "tls://127.0.0.1:2": ""}
+
+    DaskRunner(Client()).require_same_program()
+
+
+def test_a_worker_of_a_version_that_cannot_answer_is_told():
+    class Client:
+        def run(self, *_, **__):
+            return {"tls://127.0.0.1:1": ModuleNotFoundError("No module named 'wafer_viewer.compute.dask_worker'")}
+
+    with pytest.raises(ComputeError, match=r"cannot say whether it fits .*: install the same version there"):
+        DaskRunner(Client()).require_same_program()
 
 
 def test_an_open_scheduler_is_refused():

@@ -189,6 +189,8 @@ class DaskRunner:
 
     def _require_well(self, why_not: Callable[..., str], *args: Any) -> None:
         for why in self._ask_all_workers(why_not, *args):
+            if isinstance(why, OSError):  # it ended meanwhile, and takes no tasks
+                continue
             if isinstance(why, Exception):
                 raise ComputeError(f"A worker cannot say whether it fits ({why}): install the same version there.")
             if why:
