@@ -112,22 +112,26 @@ def test_a_cluster_whose_worker_ends_while_it_starts_is_one_sentence(monkeypatch
         pass
 
 
-@pytest.mark.parametrize("answer", [CommClosedError("Stream is closed"), ""])
-def test_a_worker_that_ends_while_it_is_asked_need_not_fit(answer):
-    class Client:
-        def run(self, *_, **__):
-            return {"tls://127.0.0.1:1": answer, "tls://127.0.0.1:2": ""}
+class Answering:
+    """Client of a cluster whose workers answer every question as given."""
 
-    DaskRunner(Client()).require_same_program()
+    def __init__(self, *answers):
+        self._answers = dict(enumerate(answers))
+
+    def run(self, *_, **__):
+        return self._answers
+
+
+def test_a_worker_that_ended_while_it_was_asked_hides_no_other_that_does_not_fit():
+    crew = DaskRunner(Answering(CommClosedError("Stream is closed"), "bench-2 runs version 0.0.1"))
+    with pytest.raises(ComputeError, match=r"^bench-2 runs version 0\.0\.1$"):
+        crew.require_same_program()
 
 
 def test_a_worker_of_a_version_that_cannot_answer_is_told():
-    class Client:
-        def run(self, *_, **__):
-            return {"tls://127.0.0.1:1": ModuleNotFoundError("No module named 'wafer_viewer.compute.dask_worker'")}
-
+    crew = DaskRunner(Answering(ModuleNotFoundError("No module named 'wafer_viewer.compute.dask_worker'")))
     with pytest.raises(ComputeError, match=r"cannot say whether it fits .*: install the same version there"):
-        DaskRunner(Client()).require_same_program()
+        crew.require_same_program()
 
 
 def test_an_open_scheduler_is_refused():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
+from wafer_viewer.model.acquisition.calibration import LARGEST_APERTURE, WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
@@ -60,8 +60,6 @@ class FocusWidthParameters:
         Percentile of the widths of single-peaked curves. Bleeding light only widens a curve: tests/truth/bleeding.py.
     finest_px : float, px
         Largest number of pixels per Airy radius of the objective; it bounds an unknown aperture.
-    largest_aperture : float
-        Largest numerical aperture in air.
     """
 
     probe_window: int = 9
@@ -69,7 +67,6 @@ class FocusWidthParameters:
     enough_curves: int = 64
     percentile: float = 5.0
     finest_px: float = 4.0
-    largest_aperture: float = 0.95
 
 
 FOCUS_WIDTH = FocusWidthParameters()
@@ -274,7 +271,7 @@ def _walls_untested(frames: Frames, width_um: float) -> tuple[str, ...]:
 
 def _largest_depth_um(pixel_um: float) -> float:
     """Return the depth of field of the smallest aperture with at most `finest_px` pixels per Airy radius."""
-    aperture = min(FOCUS_WIDTH.largest_aperture, _AIRY * WAVELENGTH_UM / (FOCUS_WIDTH.finest_px * pixel_um))
+    aperture = min(LARGEST_APERTURE, _AIRY * WAVELENGTH_UM / (FOCUS_WIDTH.finest_px * pixel_um))
     return WAVELENGTH_UM / aperture**2
 
 

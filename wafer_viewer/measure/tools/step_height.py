@@ -75,28 +75,22 @@ class StepFaces:
 
         Where regions of both faces alternate there is no such place; then the midpoint of their centres.
         """
-        start, along, (last_low, first_high) = self._facing_um()
+        start, along, last_low, first_high = self._facing_um()
         middle_um = last_low + first_high if last_low <= first_high else float(np.hypot(*self.apart_um))
         return start + along * middle_um / 2
 
     @property
     def between_um(self) -> float:
         """Distance between the facing borders of the regions; negative where regions of both faces alternate."""
-        _, _, (last_low, first_high) = self._facing_um()
+        *_, last_low, first_high = self._facing_um()
         return first_high - last_low
 
-    def _facing_um(self) -> tuple[Floats, Floats, tuple[float, float]]:
+    def _facing_um(self) -> tuple[Floats, Floats, float, float]:
         """Centre of the lower face, direction to the upper one, and where they end towards each other on that line."""
         start, direction = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
         along = direction / max(float(np.hypot(*direction)), 1e-9)
-        return (
-            start,
-            along,
-            (
-                float(_along(self.low, start, along).max()),
-                float(_along(self.high, start, along).min()),
-            ),
-        )
+        last_low = float(_along(self.low, start, along).max())
+        return start, along, last_low, float(_along(self.high, start, along).min())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -81,7 +81,7 @@ class Calibration(Spec, frozen=True, kw_only=True):
 WAVELENGTH_UM = 0.55
 """Green light, the default."""
 
-_USUAL_APERTURE, _LARGEST_APERTURE = 0.28, 0.95
+USUAL_APERTURE, LARGEST_APERTURE = 0.28, 0.95
 """Numerical apertures in air: of the 10x objective of the paper, and of the strongest ones."""
 
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -104,5 +104,5 @@ def shaded_um(height_um: float, calibration: Calibration | None) -> float:
 
     The aperture is that engraved in the objective of the calibration, 0.28 where it is unknown.
     """
-    aperture = (calibration and engraved_aperture(calibration.setup.objective)) or _USUAL_APERTURE
-    return abs(height_um) * math.tan(math.asin(min(aperture, _LARGEST_APERTURE)))
+    aperture = (calibration and engraved_aperture(calibration.setup.objective)) or USUAL_APERTURE
+    return abs(height_um) * math.tan(math.asin(min(aperture, LARGEST_APERTURE)))

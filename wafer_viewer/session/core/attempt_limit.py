@@ -21,7 +21,7 @@ class AttemptLimit:
         self._lock = threading.Lock()
 
     def admit(self, place: str) -> bool:
-        """Return whether an place may try now, and count the attempt if so; refused ones do not count."""
+        """Return whether a place may try now, and count the attempt if so; refused ones do not count."""
         with self._lock:
             now = self._clock()
             while self._attempts and now - self._attempts[0][0] >= WINDOW_S:
@@ -33,6 +33,6 @@ class AttemptLimit:
             return True
 
     def forget(self, place: str) -> None:
-        """Forget the attempts of an place that knew the password."""
+        """Forget the attempts of a place that knew the password."""
         with self._lock:
             self._attempts = deque(attempt for attempt in self._attempts if attempt[1] != place)
