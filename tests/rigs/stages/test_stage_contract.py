@@ -104,3 +104,14 @@ def test_a_move_that_is_called_off_before_it_begins_moves_nothing(rig):
 def test_what_has_arrived_and_only_settles_is_not_broken_off(rig):
     rig.stage.move_to(z_um=20.0, should_stop=lambda: rig.stage.position().z_um >= 20.0)
     assert rig.stage.position().z_um == pytest.approx(20.0, abs=0.1)
+
+
+def test_what_arrives_while_it_is_asked_for_a_stop_is_not_broken_off(rig):
+    def should_stop():
+        if rig.stage.position().z_um == 0.0:
+            return False
+        rig.clock.sleep(0.5)
+        return True
+
+    rig.stage.move_to(z_um=20.0, should_stop=should_stop)
+    assert rig.stage.position().z_um == pytest.approx(20.0, abs=0.1)

@@ -99,7 +99,7 @@ class VirtualPositioner:
         until_s = self._clock.now_s() + expected_s * (1 + SPARE_FRACTION) + SPARE_S
         self._stage.redirect(self._name, goal, axis.limits.speed_um_s)
         while self._stage.moving():
-            if should_stop is not None and should_stop():
+            if should_stop is not None and should_stop() and self._stage.moving():
                 self.stop()
                 self._stage.wait()
                 raise self._stopped()

@@ -322,9 +322,9 @@ class VirtualStage:
             self._tell(one, now_s)
 
     def _arrive(self, should_stop: ShouldStop | None) -> None:
-        """Wait for the end of a motion, or interrupt it; settling alone is not interrupted."""
+        """Wait for the end of a motion, or interrupt it; what arrived while it was asked is not interrupted."""
         while should_stop is not None and self.moving():
-            if should_stop():
+            if should_stop() and self.moving():
                 self.stop()
                 self.wait()
                 raise self._stopped()
