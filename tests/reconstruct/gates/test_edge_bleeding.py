@@ -339,6 +339,20 @@ def test_a_peak_is_found_near_the_expected_frame_only() -> None:
     assert np.isnan(height[0, 2])
 
 
+@pytest.mark.parametrize("peak", [1.0, 27.0])
+def test_a_peak_at_the_end_of_the_sweep_is_not_taken_for_none(peak: float) -> None:
+    levels = np.maximum(0, 6 - np.abs(np.arange(30) - peak))[:, None, None].astype(np.float32)
+    height, fall = (np.empty((1, 1), np.float32) for _ in range(2))
+    peaks_near(levels, 0, np.linspace(0, 116.0, 30), np.array([[peak]], np.float32), 2, 4, height, fall)
+    assert np.isnan(fall).all()
+    edges = BleedingEdges(
+        np.full((1, 1), EdgeSide.DARK, np.uint8), height, height, fall, np.ones((1, 1), np.float32),
+        np.zeros((1, 1), np.bool_), 4.0,
+    )  # fmt: skip
+    assert not edges.unconfirmed.any()
+    assert not edges.along.any()
+
+
 def test_the_band_is_as_wide_as_it_says(dies: Taken) -> None:
     band = find_band(silhouette_of(prepare(dies.stack)), 4)
     assert band is not None

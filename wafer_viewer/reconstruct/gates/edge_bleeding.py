@@ -82,7 +82,8 @@ class BleedingEdges:
 
     side: codes of `EdgeSide`; expected_um: the height of the pixel's side further from the wall, NaN where none is
     near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
-    fall: how far it falls from there, in powers of two, min_fall what noise reaches once in a hundred pixels;
+    fall: how far it falls from there, in powers of two, NaN where it was not looked for or the sweep ends too soon;
+    min_fall: what noise reaches once in a hundred pixels;
     below_line: whether a bright line above the expected height is near, bool; tolerance_um: how far from the expected
     height a height may be.
     """

@@ -237,7 +237,8 @@ def peaks_near(
     """Find the focus peak within `reach` frames of the expected one, and its fall on both sides.
 
     levels: [k, row, col] of the frames from `first` on; expected: frames [row, col], NaN where nothing is expected;
-    height: um, NaN where there is no peak; fall: in powers of two.
+    height: um, NaN where there is no peak; fall: in powers of two, NaN where the sweep ends within `gap` of the peak,
+    so that it cannot be told.
     """
     last = levels.shape[0] - 1
     for y in range(expected.shape[0]):
@@ -251,6 +252,7 @@ def peaks_near(
                 if levels[k, y, x] > levels[best, y, x]:
                     best = k
             if best - gap < 0 or best + gap > last:
+                fall[y, x] = np.nan
                 continue
             top = levels[best, y, x]
             if levels[best - 1, y, x] <= top >= levels[best + 1, y, x]:
