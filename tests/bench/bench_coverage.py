@@ -197,12 +197,13 @@ def bump(errors: Instrument) -> Answers:
 
 
 def bumps(errors: Instrument) -> Answers:
-    """Coplanarity and mean height of 16 bumps, one of them tall."""
+    """Coplanarity and mean height of 16 bumps, one of them tall; of those that are found."""
     high_um = 15.0 if isinstance(errors, Errors) else SHALLOW_UM
     made = bumped(side=4, seed=errors.seed, noise_um=0.0, high_um=high_um, tall_um=0.2 * high_um)
     surface = errors.measured(made.surface.z_um)
     x0, y0, x1, y1 = surface.bounds_um
     found = coplanarity(surface, Region.rectangle(x0, y0, x1, y1))
+    made = made.nearest([(bump.place.x_um, bump.place.y_um) for bump in found.bumps])
     yield "coplanarity", made.range_um, found.coplanarity
     over = made.tops[:, 2] - made.tilt * made.tops[:, 0]
     yield "mean height of bumps", float(over.mean()), found.mean_height

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +27,11 @@ class Bumped:
         design = np.column_stack([self.tops[:, :2], np.ones(len(self.tops))])
         left = self.tops[:, 2] - design @ np.linalg.lstsq(design, self.tops[:, 2], rcond=None)[0]
         return float(np.ptp(left))
+
+    def nearest(self, places_um: Sequence[tuple[float, float]]) -> Bumped:
+        """Only the bumps that are nearest to places x, y."""
+        away = np.linalg.norm(self.tops[None, :, :2] - np.asarray(places_um)[:, None], axis=2)
+        return replace(self, tops=self.tops[away.argmin(axis=1)])
 
 
 def bumped(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter
 
 from tests.support.bumped_surface import HEIGHT_UM, PITCH_UM, bumped
 from tests.support.made_up_pictures import all_of, covered
@@ -12,6 +13,10 @@ from wafer_viewer.measure.base.error_covariance import ErrorCovariance, Weighted
 from wafer_viewer.measure.tools.coplanarity import Top, coplanarity, least_squares, seating
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.recipe import Recipe
+
+RADIUS_OF_SHALLOW_UM = 20.0
+"""Radius of the sphere of bumps of 4 um on a foot of 12 um."""
 
 
 def found_on(made, **about):
@@ -65,6 +70,18 @@ def top_at(x_um, y_um, z_um):
     one = WeightedHeights(np.array([x_um]), np.array([y_um]), np.ones(1))
     errors = ErrorCovariance(np.full((1, 1), 0.01), PIXEL_UM, 1000.0, 3)
     return Top(x_um, y_um, z_um, z_um, 4.0, 0.1, one, one, errors)
+
+
+def test_the_ground_round_shallow_bumps_is_read_where_the_window_sees_no_bump():
+    window_px, made = 9, bumped(side=4, seed=4, noise_um=0.0, high_um=4.0, tall_um=0.0)
+    seen = uniform_filter(uniform_filter(made.surface.z_um, window_px), window_px)
+    held = made.surface.provenance.calibration
+    found = coplanarity(surface_of(seen, calibration=held, recipe=Recipe(window=window_px)), all_of(made.surface))
+    sag_um = 2 * (window_px**2 - 1) / 12 * PIXEL_UM**2 / RADIUS_OF_SHALLOW_UM
+    over_um = float(np.mean(made.tops[:, 2] - made.tilt * made.tops[:, 0]))
+    assert found.n_bumps == 16
+    assert found.mean_height.value_um == pytest.approx(over_um - sag_um, abs=0.02)
+    assert abs(found.mean_height.value_um - over_um) <= found.mean_height.expanded_um
 
 
 def test_the_seating_plane_touches_three_tops_and_none_lies_over_it():

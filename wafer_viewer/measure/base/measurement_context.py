@@ -190,6 +190,15 @@ class MeasurementContext:
             return 0.0
         return ((window**2 - 1) / 6 + WINDOW_BASE_PX2) * self.surface.pixel_um**2 * abs(curvature)
 
+    @property
+    def window_reach_px(self) -> int:
+        """Distance from a pixel to the farthest one in its focus window, in px; 0 for an unknown window.
+
+        The window is a box applied twice.
+        """
+        window = self.surface.provenance.recipe.window
+        return 0 if isinstance(window, str) else window - 1
+
     def frame_lines(self, factor: float = 1.0) -> Lines:
         """Return the budget lines of `factor` times a height difference that the frames of its stack cause."""
         return {name: factor * u_um for name, u_um in frame_lines_um(self.surface.provenance).items()}

@@ -50,7 +50,11 @@ class BumpSearchParameters:
     least_measured : float
         Smallest measured fraction of a bump's outline for a top height.
     ring : tuple[float, float]
-        Inner and outer radius of the surroundings, in radii of the bump.
+        Smallest inner and outer radius of the surroundings, in radii of the bump.
+    foot : float
+        Largest radius of a bump's foot, in radii of the bump: a paraboloid's foot is 1.41 times as wide.
+    ring_width : float
+        Smallest width of the surroundings, in radii of the bump.
     least_round : int
         Smallest number of measured points of the surroundings, and of the ground.
     least_top_points : int
@@ -81,6 +85,8 @@ class BumpSearchParameters:
     least_px: int = 12
     least_measured: float = 0.5
     ring: tuple[float, float] = (1.3, 2.2)
+    foot: float = 1.6
+    ring_width: float = 0.6
     least_round: int = 20
     least_top_points: int = 12
     most_rounds: int = 12
@@ -128,11 +134,12 @@ class Bumps:
     left_out: int
 
 
-def find_bumps(part: Heights, within: Mask) -> Bumps:
+def find_bumps(part: Heights, within: Mask, window_reach_px: int = 0) -> Bumps:
     """Find the bumps within a part of a surface, from top to bottom.
 
     Bumps are assumed alike: objects of less than half or more than twice the typical width are not bumps. within: mask
-    bool [row, col] of the searched pixels. Raises MeasureError when nothing stands out of the ground.
+    bool [row, col] of the searched pixels; window_reach_px: how far beyond the foot of a bump the focus window still
+    sees it, px. Raises MeasureError when nothing stands out of the ground.
     """
     z_um = np.where(within, part.z_um, np.nan).astype(np.float64)
     over, noise_um = _over_ground(part, z_um)
@@ -143,7 +150,8 @@ def find_bumps(part: Heights, within: Mask) -> Bumps:
     found, left_out = list[Top](), 0
     for box, outline in zip(boxes, outlines, strict=True):
         if max(usual_px / BUMP_SEARCH.alike, BUMP_SEARCH.least_px) <= outline.sum() <= BUMP_SEARCH.alike * usual_px:
-            top = _top(part, z_um, over, box, outline, errors) if _complete_bumps(outline, box, within, z_um) else None
+            complete = _complete_bumps(outline, box, within, z_um)
+            top = _top(part, z_um, over, box, outline, errors, window_reach_px) if complete else None
             found, left_out = (found, left_out + 1) if top is None else ([*found, top], left_out)
     return Bumps(tuple(found), left_out)
 
@@ -233,7 +241,15 @@ def _complete_bumps(outline: Mask, box: Box, within: Mask, z_um: Floats) -> bool
     return not touches_border and bool(within[rows, cols].all()) and measured >= BUMP_SEARCH.least_measured
 
 
-def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask, errors: ErrorCovariance) -> Top | None:
+def _top(
+    part: Heights,
+    z_um: Floats,
+    over: Floats,
+    box: Box,
+    outline: Mask,
+    errors: ErrorCovariance,
+    window_reach_px: int,
+) -> Top | None:
     """Return the top from a sphere fit; None where none fits."""
     highest = float(np.nanquantile(over[box][outline], BUMP_SEARCH.highest))
     points = _points(part, z_um, box, outline & (over[box] >= BUMP_SEARCH.cap_from * highest))
@@ -246,7 +262,8 @@ def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask, err
     radius_um = math.sqrt(np.count_nonzero(outline) / math.pi) * part.pixel_um
     if math.hypot(cap.x_um - points.x_um.mean(), cap.y_um - points.y_um.mean()) > radius_um:
         return None
-    ground = _round(part, z_um, over, (cap.x_um, cap.y_um), radius_um)
+    foot_um = _foot_um(cap.curvature, highest, radius_um) + window_reach_px * part.pixel_um
+    ground = _round(part, z_um, over, (cap.x_um, cap.y_um), _ring_um(radius_um, foot_um))
     if ground is None:
         return None
     slopes, left_um = cap.slopes(inliers), inliers.z_um - cap.at(inliers)
@@ -255,17 +272,31 @@ def _top(part: Heights, z_um: Floats, over: Floats, box: Box, outline: Mask, err
     return Top(cap.x_um, cap.y_um, cap.z_um, cap.z_um - ground[0], 2 * radius_um, cap.curvature, top, ground[1], own)
 
 
+def _foot_um(curvature: float, height_um: float, radius_um: float) -> float:
+    """Return the radius at which a cap of a height meets the ground; radius_um: of the bump at half of its height."""
+    if curvature * height_um >= 1:
+        return 1 / curvature
+    widest_um = BUMP_SEARCH.foot * radius_um
+    return widest_um if curvature <= 0 else min(widest_um, math.sqrt((2 / curvature - height_um) * height_um))
+
+
+def _ring_um(radius_um: float, foot_um: float) -> tuple[float, float]:
+    """Return the inner and outer radius of the surroundings of a bump, beyond what its foot reaches."""
+    inner, outer = (radius_um * part for part in BUMP_SEARCH.ring)
+    inner = max(inner, foot_um)
+    return inner, max(outer, inner + BUMP_SEARCH.ring_width * radius_um)
+
+
 def _round(
-    part: Heights, z_um: Floats, over: Floats, centre: tuple[float, float], radius_um: float
+    part: Heights, z_um: Floats, over: Floats, centre: tuple[float, float], ring_um: tuple[float, float]
 ) -> tuple[float, WeightedHeights] | None:
     """Return the height of the surroundings under a bump's top, also as a weighted sum; None if unmeasured."""
-    reach = BUMP_SEARCH.ring[1] * radius_um
     col, row = (centre[0] - part.x0_um) / part.pixel_um, (part.y0_um - centre[1]) / part.pixel_um
-    px = reach / part.pixel_um
+    px = ring_um[1] / part.pixel_um
     box = slice(max(0, round(row - px)), round(row + px) + 1), slice(max(0, round(col - px)), round(col + px) + 1)
     ring = _points(part, z_um, box, over[box] < BUMP_SEARCH.ring_below * np.nanmax(over[box]))
-    away = np.hypot(ring.x_um - centre[0], ring.y_um - centre[1]) / radius_um
-    ring = ring.select((away >= BUMP_SEARCH.ring[0]) & (away <= BUMP_SEARCH.ring[1]))
+    away_um = np.hypot(ring.x_um - centre[0], ring.y_um - centre[1])
+    ring = ring.select((away_um >= ring_um[0]) & (away_um <= ring_um[1]))
     if len(ring) < BUMP_SEARCH.least_round:
         return None
     design = plane_design(ring, centre)
@@ -378,7 +409,7 @@ def coplanarity(
     require_area(region, "measured")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, region)
     part = height_window(surface, reading.layer, region, level)
-    bumps = find_bumps(part, region.contains(part.x_um[None, :], part.y_um[:, None]))
+    bumps = find_bumps(part, region.contains(part.x_um[None, :], part.y_um[:, None]), reading.window_reach_px)
     _require_enough(bumps)
     fitted = PLANES[reference](bumps.tops)
     listed = tuple(_bump(reading, top, off) for top, off in zip(bumps.tops, fitted.deviation_um.tolist(), strict=True))
