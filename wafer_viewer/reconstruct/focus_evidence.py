@@ -182,7 +182,7 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
         gate="along",
         question="Does the focus along the wall peak at that height?",
         score=_finite(edges.fall[row, col]),
-        limit=float(edges.min_fall[row, col]),
+        limit=edges.min_fall,
         unit=POWERS,
         passed=bool(edges.along[row, col]),
         note=_along_note(edges, row, col),
@@ -191,9 +191,9 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
 
 
 def _along_note(edges: BleedingEdges, row: int, col: int) -> str:
-    """Return what follows where the focus along the wall does not peak."""
+    """Return what follows where the focus along the wall does not peak, or is not looked at."""
     if edges.below_line[row, col]:
-        return "Below a bright line, as of a polished rim, a height counts only where it does."
+        return "Below a bright line, as of a polished rim, no height counts: the focus is that of the ground beyond."
     if edges.unconfirmed[row, col]:
         return "Where it does not, the focus may be that of the outline of the wall."
     return ""

@@ -211,17 +211,15 @@ def test_few_heights_are_false_where_walls_narrow_the_aperture_or_the_border_hid
     assert not found.false_fraction > 0.04  # nor where nothing is measured
 
 
-def test_below_a_line_a_height_counts_where_the_focus_along_the_wall_confirms_it() -> None:
-    side = np.full((1, 30), EdgeSide.DARK, np.uint8)
+def test_below_a_line_no_height_counts() -> None:
+    side = np.full((1, 20), EdgeSide.DARK, np.uint8)
     height, origin = np.zeros(side.shape, np.float32), np.full(side.shape, Origin.MEASURED, np.uint8)
     fall, below_line = np.full_like(height, np.nan), np.zeros(side.shape, bool)  # NaN: not searched
-    below_line[:, 10:], fall[:, 20:] = True, 2.0
-    edges = BleedingEdges(side, height, height + 1, fall, np.ones_like(height), below_line, tolerance_um=3.0)
-    z_um, found = judge_edges(height, origin, edges)
+    below_line[:, 10:] = True
+    edges = BleedingEdges(side, height, height, fall, 1.0, below_line, tolerance_um=3.0)
+    _, found = judge_edges(height, origin, edges)
     assert (found[:, :10] == Origin.MEASURED).all()
-    assert (found[:, 10:20] == Origin.BLEEDING_EDGE).all()
-    assert (found[:, 20:] == Origin.MEASURED).all()
-    assert (z_um[:, 20:] == 1).all()
+    assert (found[:, 10:] == Origin.BLEEDING_EDGE).all()
 
 
 def test_on_the_dark_side_a_height_that_shows_across_the_wall_only_is_its_outlines() -> None:
@@ -231,7 +229,7 @@ def test_on_the_dark_side_a_height_that_shows_across_the_wall_only_is_its_outlin
     fall = np.full_like(height, np.nan)
     fall[:, 10:20] = 0.5
     below_line = np.zeros(side.shape, bool)
-    edges = BleedingEdges(side, height, height, fall, np.ones_like(height), below_line, tolerance_um=3.0)
+    edges = BleedingEdges(side, height, height, fall, 1.0, below_line, tolerance_um=3.0)
     _, found = judge_edges(height, origin, edges)
     assert (found[:, 10:20] == Origin.BLEEDING_EDGE).all()
     assert (found[:, :10] == Origin.MEASURED).all()
@@ -346,7 +344,7 @@ def test_a_peak_at_the_end_of_the_sweep_is_not_taken_for_none(peak: float) -> No
     peaks_near(levels, 0, np.linspace(0, 116.0, 30), np.array([[peak]], np.float32), 2, 4, height, fall)
     assert np.isnan(fall).all()
     edges = BleedingEdges(
-        np.full((1, 1), EdgeSide.DARK, np.uint8), height, height, fall, np.ones((1, 1), np.float32),
+        np.full((1, 1), EdgeSide.DARK, np.uint8), height, height, fall, 1.0,
         np.zeros((1, 1), np.bool_), 4.0,
     )  # fmt: skip
     assert not edges.unconfirmed.any()

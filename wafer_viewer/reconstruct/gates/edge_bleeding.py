@@ -6,14 +6,13 @@ insensitive to light that bleeds across it; this recovers the rims of dies, and 
 that of the wall's outline, which the focus window sees on both sides.
 
 A polished rim shows as a bright line. Between the line and the wall lies the dark slope of the die, without texture,
-and the focus window there sees the texture of the lower ground beyond. On ground below a line a height is therefore
-accepted only where the focus along the wall confirms it in a small window.
+and every focus window there sees the texture of the lower ground beyond. Below a line no height is accepted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -65,9 +64,6 @@ OUTLINE_MARGIN_PX = 2
 LINE_PX = 11
 """Side of the largest square that a bright line cannot hold, in pixels: tests/truth/unseen.py."""
 
-LINE_WINDOW_PX = 7
-"""Largest focus window along a wall below a line, in pixels: tests/truth/unseen.py."""
-
 _TILE_PX = 96
 """Side of the tiles that are searched along walls, and rows that are read together, in pixels."""
 _WALL_SIGMA = 3.0
@@ -92,7 +88,7 @@ class BleedingEdges:
     expected_um: NDArray[np.float32]
     z_um: NDArray[np.float32]
     fall: NDArray[np.float32]
-    min_fall: NDArray[np.float32]
+    min_fall: float
     below_line: NDArray[np.bool_]
     tolerance_um: float
 
@@ -189,18 +185,11 @@ def find_edges(
     wall_um = doubled(frames.z_um.astype(np.float32)[band.frame], frames.shape)
     below_line = _beside_lines(sides.side, how.reach_px) & (expected_um < wall_um - how.tolerance_um)
     z_um, fall = (np.full(frames.shape, np.nan, np.float32) for _ in range(2))
-    min_fall = np.zeros(frames.shape, np.float32)
-    fine = replace(how, window=min(how.window, LINE_WINDOW_PX))
-    searched = (sides.side == EdgeSide.DARK) & (origin != Origin.CLIPPED) & (how.mode == "rims")
-    wall = _wall_of(band, sides)
-    for search, where in ((how, ~below_line), (fine, below_line)):
-        if not where.any():
-            continue
-        near = near_of(search, frames)
-        min_fall[where] = noise_fall(near)
-        wanted = np.where(searched & where, expected_um, np.float32(np.nan))
-        _search_along(frames, search, near, wanted, wall, z_um, fall, threads)
-    return BleedingEdges(sides.side, expected_um, z_um, fall, min_fall, below_line, how.tolerance_um)
+    near = near_of(how, frames)
+    searched = (sides.side == EdgeSide.DARK) & ~below_line & (origin != Origin.CLIPPED) & (how.mode == "rims")
+    wanted = np.where(searched, expected_um, np.float32(np.nan))
+    _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
+    return BleedingEdges(sides.side, expected_um, z_um, fall, noise_fall(near), below_line, how.tolerance_um)
 
 
 def _beside_lines(side: NDArray[np.uint8], reach_px: int) -> NDArray[np.bool_]:
@@ -222,7 +211,7 @@ def judge_edges(
 
     Near a wall a measured height is retained where it agrees with its side and the focus along the wall confirms it,
     unless it lies below a line, and is marked as bleeding otherwise; where the focus along the wall gives a height it
-    is used, whatever the gates decided.
+    is used, whatever the other gates decided.
     """
     along = edges.along
     near_edge = edges.side != EdgeSide.AWAY
