@@ -27,8 +27,10 @@ from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
 from wafer_viewer.reconstruct.gates.edge_sides import (
+    APART_TOLERANCES,
     BAND_REACH_PX,
     STANDING_GAPS,
+    WALL,
     Band,
     EdgeSide,
     Sides,
@@ -36,7 +38,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     find_band,
     outline_grey,
     side_heights_um,
-    smooth_surroundings,
+    surroundings,
 )
 from wafer_viewer.reconstruct.gates.focus_along_walls import (
     Near,
@@ -77,15 +79,16 @@ class BleedingEdges:
     """Wall side, expected height and wall-parallel focus of the pixels near walls, all arrays [row, col].
 
     side: codes of `EdgeSide`; expected_um: the height of the pixel's side further from the wall, NaN where none is
-    near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
-    fall: how far it falls from there, in powers of two, NaN where it was not looked for or the sweep ends too soon;
-    min_fall: what noise reaches once in a hundred pixels;
-    below_line: whether a bright line above the expected height is near, bool; tolerance_um: how far from the expected
-    height a height may be.
+    near; bleeding_um: the height of the bright side for dark pixels beside a faint wall that nothing is expected of,
+    NaN elsewhere; z_um: where the focus along the wall peaks near the expected height, NaN where it does not or was not
+    looked for; fall: how far it falls from there, in powers of two, NaN where it was not looked for or the sweep ends
+    too soon; min_fall: what noise reaches once in a hundred pixels; below_line: whether a bright line above the
+    expected height is near, bool; tolerance_um: how far from the expected height a height may be.
     """
 
     side: NDArray[np.uint8]
     expected_um: NDArray[np.float32]
+    bleeding_um: NDArray[np.float32]
     z_um: NDArray[np.float32]
     fall: NDArray[np.float32]
     min_fall: float
@@ -95,6 +98,15 @@ class BleedingEdges:
     def agrees(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return whether heights agree with those of their side further from the wall, bool [row, col]."""
         return np.abs(z_um - self.expected_um) < self.tolerance_um
+
+    def apart(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return whether dark heights that nothing further from the wall tells of are not those of the bright side."""
+        return np.abs(z_um - self.bleeding_um) > self.apart_um
+
+    @property
+    def apart_um(self) -> float:
+        """Smallest difference of such a height from the bright side."""
+        return APART_TOLERANCES * self.tolerance_um
 
     @property
     def unconfirmed(self) -> NDArray[np.bool_]:
@@ -170,10 +182,10 @@ def find_edges(
     threads: all cores if omitted; silhouette: that of the frames, where it is known.
     """
     silhouette, passed = silhouette or silhouette_of(frames, threads), origin == Origin.MEASURED
-    if not (silhouette.standing >= how.standing_frames).any():
+    if not (silhouette.standing >= WALL.faint_frames(how.standing_frames)).any():
         return None
-    smooth = smooth_surroundings(silhouette, how.standing_frames, peaks.z_um, passed, how.tolerance_um)
-    band = find_band(silhouette, how.standing_frames, how.reach_px, smooth)
+    around = surroundings(silhouette, how.standing_frames, peaks.z_um, passed, how.tolerance_um, how.reach_px)
+    band = find_band(silhouette, how.standing_frames, how.reach_px, around)
     if band is None:
         return None
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
@@ -181,22 +193,33 @@ def find_edges(
     dark_um, bright_um = side_heights_um(
         peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
     )
+    dark_um, bright_um = (repeated(cells, COARSE_PX, frames.shape) for cells in (dark_um, bright_um))
     expected_um = _expected(sides.side, dark_um, bright_um)
     wall_um = doubled(frames.z_um.astype(np.float32)[band.frame], frames.shape)
-    below_line = _beside_lines(sides.side, how.reach_px) & (expected_um < wall_um - how.tolerance_um)
+    beside_line = _beside_lines(sides.side, how.reach_px)
+    below_line = beside_line & (expected_um < wall_um - how.tolerance_um)
     z_um, fall = (np.full(frames.shape, np.nan, np.float32) for _ in range(2))
     near = near_of(how, frames)
     searched = (sides.side == EdgeSide.DARK) & ~below_line & (origin != Origin.CLIPPED) & (how.mode == "rims")
     wanted = np.where(searched, expected_um, np.float32(np.nan))
     _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
-    return BleedingEdges(sides.side, expected_um, z_um, fall, noise_fall(near), below_line, how.tolerance_um)
+    alone = (sides.side == EdgeSide.DARK) & np.isnan(expected_um) & ~beside_line & ~doubled(band.sure, frames.shape)
+    bleeding_um = np.where(alone, bright_um, np.float32(np.nan))
+    return BleedingEdges(
+        sides.side, expected_um, bleeding_um, z_um, fall, noise_fall(near), below_line, how.tolerance_um
+    )
 
 
 def _beside_lines(side: NDArray[np.uint8], reach_px: int) -> NDArray[np.bool_]:
-    """Return a mask of the dark pixels that have a bright line near them and nothing wider; bool [row, col]."""
+    """Return a mask of the dark pixels that have a bright line near them and nothing wider; bool [row, col].
+
+    Bright pixels at the end of the band belong to a surface that goes on beyond it.
+    """
     bright = side >= EdgeSide.BRIGHT
     wide = highest(lowest(bright, LINE_PX), LINE_PX)
-    return (side == EdgeSide.DARK) & highest(bright & ~wide, 2 * reach_px + 1) & ~highest(wide, 2 * reach_px + 1)
+    goes_on = bright & highest(side == EdgeSide.AWAY, 3)
+    near_wide = highest(wide, 2 * reach_px + 1) | highest(goes_on, 4 * reach_px + 1)
+    return (side == EdgeSide.DARK) & highest(bright & ~wide, 2 * reach_px + 1) & ~near_wide
 
 
 def near_of(how: EdgeSearch, frames: Frames) -> Near:
@@ -210,12 +233,13 @@ def judge_edges(
     """Return the heights and origins of a field corrected at its edges.
 
     Near a wall a measured height is retained where it agrees with its side and the focus along the wall confirms it,
-    unless it lies below a line, and is marked as bleeding otherwise; where the focus along the wall gives a height it
+    unless it lies below a line. On the dark side of a faint wall where nothing tells of the side it is retained unless
+    it is the height of the bright one. Others are marked as bleeding. Where the focus along the wall gives a height it
     is used, whatever the other gates decided.
     """
     along = edges.along
     near_edge = edges.side != EdgeSide.AWAY
-    retained = edges.agrees(z_um) & ~edges.unconfirmed & ~edges.below_line
+    retained = edges.agrees(z_um) & ~edges.unconfirmed & ~edges.below_line | edges.apart(z_um)
     bleeding = near_edge & (origin == Origin.MEASURED) & ~retained
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
@@ -225,7 +249,8 @@ def warm_up(frames: Frames, window: int) -> None:
     """Compile the kernels, or load the cached compilation, on a few small frames."""
     silhouette_of(frames, threads=1)
     half = tuple(-(-n // 2) for n in frames.shape)
-    band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32), BAND_REACH_PX)
+    inside = np.ones(half, np.bool_)
+    band = Band(inside, np.zeros(half, np.uint16), np.ones(half, np.float32), BAND_REACH_PX, inside)
     classify_sides(_outline_grey(frames, band, threads=1), band, dark_counts=1.0)
     shape = frames.shape
     expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
@@ -236,9 +261,8 @@ def warm_up(frames: Frames, window: int) -> None:
 def _expected(
     side: NDArray[np.uint8], dark_um: NDArray[np.float32], bright_um: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the cell height of each pixel's side; NaN for pixels on neither side."""
-    dark, bright = (repeated(cells, COARSE_PX, side.shape) for cells in (dark_um, bright_um))
-    return np.where(side == EdgeSide.DARK, dark, np.where(side == EdgeSide.BRIGHT, bright, np.float32(np.nan)))
+    """Return the height of each pixel's side; NaN for pixels on neither side."""
+    return np.where(side == EdgeSide.DARK, dark_um, np.where(side == EdgeSide.BRIGHT, bright_um, np.float32(np.nan)))
 
 
 def _wall_of(band: Band, sides: Sides) -> Wall:

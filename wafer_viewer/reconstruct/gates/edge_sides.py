@@ -1,5 +1,9 @@
 """Sides of a wall: classification of the pixels near its silhouette, and the height on each side.
 
+A wall is a long silhouette that persists. One between sides that are nearly as bright, or seen by a narrow cone of
+light, persists for few frames: it is a wall all the same where the heights jump beside it or are few. Such a faint wall
+judges its dark side only, on which light bleeds.
+
 The frame in which the wall is sharpest is used: there, at the foot or the top of the wall, light does not bleed over
 it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side.
 
@@ -66,6 +70,16 @@ class WallParameters:
         Root mean square distance from a plane that a jump in the middle of `plane_cells` leaves, in jumps.
     plane_cells : int, cells
         Side of the square of cells that one plane describes on a surface, however steep: tests/truth/relief.py.
+    faint_share : float
+        Persistence of a long silhouette that is a faint wall where heights say so, relative to that of a wall.
+    faint_apart_px : int, px
+        Smallest distance of a faint wall from others.
+    uneven_share : float
+        Share of a faint wall beside which heights jump or are few.
+    uneven_cells : int, cells
+        Distance of a jump from a faint wall.
+    few_share : float
+        Share of measured pixels around a faint wall below which they are few.
     """
 
     least_length_px: int = 48
@@ -74,6 +88,15 @@ class WallParameters:
     jump_tolerances: float = 2.0
     jump_residual: float = 0.25
     plane_cells: int = 5
+    faint_share: float = 0.34
+    faint_apart_px: int = 16
+    uneven_share: float = 0.5
+    uneven_cells: int = 3
+    few_share: float = 0.8
+
+    def faint_frames(self, standing_frames: float) -> float:
+        """Return the number of frames through which a faint wall persists; standing_frames: of a wall."""
+        return max(1.0, self.faint_share * standing_frames)
 
 
 WALL = WallParameters()
@@ -129,13 +152,26 @@ class Band(NamedTuple):
     """Surroundings of walls at half resolution: mask, frame for the side classification, and wall contrast.
 
     inside: bool; frame: index of the frame; contrast: of the silhouette along the middle of a wall, 0 elsewhere;
-    reach_px: how far the band extends beyond a silhouette, in pixels of the field.
+    reach_px: how far the band extends beyond a silhouette, in pixels of the field; sure: bool, the part near walls that
+    are not faint.
     """
 
     inside: Bools
     frame: UInt16s
     contrast: Float32s
     reach_px: int
+    sure: Bools
+
+
+class Surroundings(NamedTuple):
+    """What the heights around silhouettes say about walls, bool [row / 4, col / 4].
+
+    smooth: one measured surface without jumps, where no wall is; uneven: few heights, or jumps and some not measured,
+    where even a faint silhouette is a wall.
+    """
+
+    smooth: NDArray[np.bool_]
+    uneven: NDArray[np.bool_]
 
 
 class Sides(NamedTuple):
@@ -154,16 +190,19 @@ def find_band(
     silhouette: Silhouette,
     standing_frames: float,
     reach_px: int = BAND_REACH_PX,
-    smooth: NDArray[np.bool_] | None = None,
+    around: Surroundings | None = None,
 ) -> Band | None:
     """Return the surroundings of all walls, None if there are none.
 
-    standing_frames: number of frames through which a wall persists; reach_px: of the band beyond a silhouette; smooth:
-    from `smooth_surroundings`.
+    standing_frames: number of frames through which a wall persists; reach_px: of the band beyond a silhouette; around:
+    from `surroundings`; without it no wall is faint.
     """
-    wall = _walls(silhouette.standing, standing_frames)
-    if smooth is not None:
-        wall &= ~doubled(smooth, wall.shape)
+    sure = _walls(silhouette.standing, standing_frames)
+    wall = sure
+    if around is not None:
+        faint = _faint_walls(silhouette.standing, standing_frames, around.uneven, sure)
+        sure = sure & ~doubled(around.smooth, sure.shape)
+        wall = sure | faint
     if not wall.any():
         return None
     contrast = np.where(wall, silhouette.contrast, np.float32(0))
@@ -171,42 +210,70 @@ def find_band(
         contrast >= np.float32(SIDE.ridge_share) * highest(contrast, SIDE.levels_px), contrast, np.float32(0)
     )
     frame = (_strongest(ridge, silhouette.frame, reach_px) & np.uint32(0xFFFF)).astype(np.uint16)
-    return Band(highest(wall, 2 * (reach_px // 2) + 1), frame, ridge, reach_px)
+    inside, near_sure = (highest(mask, 2 * (reach_px // 2) + 1) for mask in (wall, sure))
+    return Band(inside, frame, ridge, reach_px, near_sure)
 
 
 def _walls(standing: NDArray[np.uint16], least_frames: float) -> NDArray[np.bool_]:
     """Return the silhouettes that are walls: long ones, and short ones that persist far longer than a pattern does."""
-    from scipy.ndimage import find_objects
-    from skimage.measure import label
-
-    parts: NDArray[np.int64] = np.asarray(label(standing >= least_frames, connectivity=2))
-    extents = [max(side.stop - side.start for side in part) for part in find_objects(parts)]
-    longest = np.zeros(len(extents) + 1, standing.dtype)
+    parts, is_long = _parts(standing >= least_frames)
+    longest = np.zeros(len(is_long), standing.dtype)
     np.maximum.at(longest, parts.ravel(), standing.ravel())
-    is_wall = (np.array([0, *extents]) >= WALL.least_length_px // 2) | (longest >= WALL.short_gaps * least_frames)
+    is_wall = is_long | (longest >= WALL.short_gaps * least_frames)
     is_wall[0] = False
     return is_wall[parts]
 
 
-def smooth_surroundings(
+def _faint_walls(
+    standing: NDArray[np.uint16], least_frames: float, uneven: NDArray[np.bool_], sure: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the long silhouettes that persist for fewer frames, along uneven heights, away from sure walls."""
+    parts, is_long = _parts(standing >= WALL.faint_frames(least_frames))
+    pixels = np.bincount(parts.ravel())
+    beside = np.bincount(parts.ravel(), weights=doubled(uneven, standing.shape).ravel())
+    is_wall = is_long & (beside >= WALL.uneven_share * pixels)
+    return is_wall[parts] & ~highest(sure, WALL.faint_apart_px + 1)
+
+
+def _parts(silhouettes: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the number of each connected silhouette, 0 where there is none, and which numbers are of long ones."""
+    from scipy.ndimage import find_objects
+    from skimage.measure import label
+
+    parts: NDArray[np.int64] = np.asarray(label(silhouettes, connectivity=2))
+    extents = [max(side.stop - side.start for side in part) for part in find_objects(parts)]
+    return parts, np.array([0, *extents]) >= WALL.least_length_px // 2
+
+
+def surroundings(
     silhouette: Silhouette,
     standing_frames: float,
     z_um: NDArray[np.float32],
     passed: NDArray[np.bool_],
     tolerance_um: float,
-) -> NDArray[np.bool_]:
-    """Return the cells that one measured surface without jumps surrounds, where no wall is; bool [row / 4, col / 4].
+    reach_px: int,
+) -> Surroundings:
+    """Return what the heights around silhouettes say about walls.
 
-    Jumps are looked for around silhouettes that persist through `standing_frames` only. z_um, passed: [row, col],
-    passed is the gate mask; tolerance_um: tolerance for equal heights. A wall separates two heights, or a surface from
-    one that is too weakly textured to be measured as far as an anchor reaches.
+    Jumps are looked for around silhouettes that may be walls only. z_um, passed: [row, col], passed is the gate mask;
+    tolerance_um: tolerance for equal heights. A wall separates two heights, or a surface from one that is too weakly
+    textured to be measured as far as an anchor reaches. Within `reach_px` of the border of the frame the window sees
+    one side of a silhouette only: no surface goes on beyond it for sure.
     """
     size = 2 * _ANCHOR_REACH + 1
-    near = highest(halved(silhouette.standing >= standing_frames) > 0, size + 2)
-    planes = local_planes(_cell_medians(z_um, passed, near), WALL.plane_cells)
+    sure, faint = (
+        highest(halved(silhouette.standing >= frames) > 0, size + 2)
+        for frames in (standing_frames, WALL.faint_frames(standing_frames))
+    )
+    planes = local_planes(_cell_medians(z_um, passed, faint), WALL.plane_cells)
     jumps = planes.residual > WALL.jump_residual * WALL.jump_tolerances * tolerance_um
-    measured_share = mean(_cell_means(passed.view(np.uint8), near.shape), size)
-    return (measured_share >= WALL.measured_share) & ~highest(jumps, size)
+    measured_share = mean(_cell_means(passed.view(np.uint8), faint.shape), size)
+    complete = measured_share >= WALL.measured_share
+    smooth = complete & ~highest(jumps & sure, size)
+    border = -(-reach_px // COARSE_PX)
+    smooth[:border] = smooth[-border:] = smooth[:, :border] = smooth[:, -border:] = False
+    few = measured_share < WALL.few_share
+    return Surroundings(smooth, ~complete & (few | highest(jumps, 2 * WALL.uneven_cells + 1)))
 
 
 def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
@@ -229,6 +296,7 @@ def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) ->
     around = mean_of_valid(share, band.inside, 3)
     deep = around <= 1 - SIDE.deep_share, around >= SIDE.deep_share
     _mark_sides(grey, bright, band.inside, (surely_dark, surely_bright), deep, side)
+    side[(side >= EdgeSide.BRIGHT) & ~doubled(band.sure, side.shape)] = EdgeSide.AWAY
     return Sides(side, share, np.where(band.inside, threshold, np.float32(0)))
 
 
@@ -339,9 +407,8 @@ class AnchorParameters:
         Distance within which these pixels lie on the bright side.
     dark_cells : int, cells
         Distance within which they lie on the dark side.
-    apart : float
-        Smallest difference from the bright side, in tolerances, of an anchor of the dark side nearer to the wall than
-        the focus window reaches.
+    barrier_share : float
+        Bright fraction of a cell that parts dark cells: the bright line of a polished rim is between two heights.
     """
 
     reach_px: int = 48
@@ -354,10 +421,12 @@ class AnchorParameters:
     pure_share: float = 0.95
     bright_cells: int = 1
     dark_cells: int = 2
-    apart: float = 2.0
+    barrier_share: float = 0.4
 
 
 ANCHOR = AnchorParameters()
+APART_TOLERANCES = 2.0
+"""Smallest difference from the bright side, in tolerances, of a dark height within reach of the focus window."""
 _ANCHOR_REACH = ANCHOR.reach_px // COARSE_PX
 """Reach of an anchor, in cells."""
 
@@ -380,8 +449,9 @@ def side_heights_um(
     far_dark, near_dark, bright = _cell_sides(all_in_focus, band, sides, dark_counts)
     nothing = np.float32(np.nan)
     bright_um = _from_anchors(np.where(bright, heights, nothing), tolerance_um)
-    apart = np.abs(heights - bright_um) > ANCHOR.apart * tolerance_um
-    dark_um = _from_anchors(np.where(far_dark | (near_dark & apart), heights, nothing), tolerance_um)
+    apart = np.abs(heights - bright_um) > APART_TOLERANCES * tolerance_um
+    lines = halved(sides.bright_share) >= ANCHOR.barrier_share
+    dark_um = _from_anchors(np.where(far_dark | (near_dark & apart), heights, nothing), tolerance_um, lines)
     return dark_um, bright_um
 
 
@@ -405,8 +475,10 @@ def _cell_sides(
     return beyond <= 1 - ANCHOR.pure_share, beside <= 1 - ANCHOR.pure_share, bright >= ANCHOR.pure_share
 
 
-def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.float32]:
-    """Return the height of the nearest anchor, NaN beyond its reach."""
+def _from_anchors(
+    heights: NDArray[np.float32], tolerance_um: float, barriers: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """Return the height of the nearest anchor, NaN beyond its reach and behind cells of `barriers`."""
     from skimage.morphology import opening
 
     square = np.ones((ANCHOR.solid_cells, ANCHOR.solid_cells), np.bool_)
@@ -414,8 +486,22 @@ def _from_anchors(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[
     anchors = _large(anchors & _agreed(heights, anchors, tolerance_um))
     if not anchors.any():
         return np.full_like(heights, np.nan)
-    distance, anchor_um = _of_nearest(anchors, heights)
-    return np.where(distance <= _ANCHOR_REACH, anchor_um, np.float32(np.nan))
+    distance, at = nearest(anchors)
+    reached = distance <= _ANCHOR_REACH
+    if barriers is not None:
+        reached &= _on_one_side(barriers, at)
+    return np.where(reached, _smoothed(heights, anchors)[at], np.float32(np.nan))
+
+
+def _on_one_side(barriers: NDArray[np.bool_], at: tuple[NDArray[np.intp], NDArray[np.intp]]) -> NDArray[np.bool_]:
+    """Return the cells that no barrier parts from others `at`; a cell of a barrier belongs to the nearest side."""
+    from skimage.measure import label
+
+    parts: NDArray[np.int64] = np.asarray(label(~barriers, connectivity=1))
+    if not parts.any():
+        return np.zeros(barriers.shape, np.bool_)
+    parts = parts[nearest(parts > 0)[1]]
+    return parts == parts[at]
 
 
 def _agreed(heights: NDArray[np.float32], anchors: NDArray[np.bool_], tolerance_um: float) -> NDArray[np.bool_]:
@@ -423,7 +509,8 @@ def _agreed(heights: NDArray[np.float32], anchors: NDArray[np.bool_], tolerance_
     if not anchors.any():
         return anchors
     size, known = 2 * ANCHOR.around_cells + 1, np.isfinite(heights)
-    agreeing = known & (np.abs(heights - _of_nearest(anchors, heights)[1]) < tolerance_um)
+    anchor_um = _smoothed(heights, anchors)[nearest(anchors)[1]]
+    agreeing = known & (np.abs(heights - anchor_um) < tolerance_um)
     return mean(agreeing, size) >= ANCHOR.agreeing_share * mean(known, size)
 
 
@@ -433,12 +520,8 @@ def _large(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return remove_small_objects(cells, max_size=ANCHOR.enough_cells - 1)
 
 
-def _of_nearest(
-    anchors: NDArray[np.bool_], heights: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return the distance of the nearest anchor in cells, and its height, smoothed."""
-    distance, nearest_anchor = nearest(anchors)
-    return distance, mean_of_valid(heights, anchors, 3)[nearest_anchor]
+def _smoothed(heights: NDArray[np.float32], anchors: NDArray[np.bool_]) -> NDArray[np.float32]:
+    return mean_of_valid(heights, anchors, 3)
 
 
 def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
