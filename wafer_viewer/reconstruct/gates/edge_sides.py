@@ -74,8 +74,8 @@ class WallParameters:
         Persistence of a long silhouette that is a faint wall where heights say so, relative to that of a wall.
     faint_apart_px : int, px
         Smallest distance of a faint wall from others.
-    uneven_share : float
-        Share of a faint wall beside which heights jump or are few.
+    faint_gap_px : int, px
+        Largest gap between two pieces of a faint wall, which texture beside it breaks.
     uneven_cells : int, cells
         Distance of a jump from a faint wall.
     few_share : float
@@ -90,7 +90,7 @@ class WallParameters:
     plane_cells: int = 5
     faint_share: float = 0.34
     faint_apart_px: int = 16
-    uneven_share: float = 0.5
+    faint_gap_px: int = 16
     uneven_cells: int = 3
     few_share: float = 0.8
 
@@ -227,21 +227,22 @@ def _walls(standing: NDArray[np.uint16], least_frames: float) -> NDArray[np.bool
 def _faint_walls(
     standing: NDArray[np.uint16], least_frames: float, uneven: NDArray[np.bool_], sure: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return the long silhouettes that persist for fewer frames, along uneven heights, away from sure walls."""
-    parts, is_long = _parts(standing >= WALL.faint_frames(least_frames))
-    pixels = np.bincount(parts.ravel())
-    beside = np.bincount(parts.ravel(), weights=doubled(uneven, standing.shape).ravel())
-    is_wall = is_long & (beside >= WALL.uneven_share * pixels)
-    return is_wall[parts] & ~highest(sure, WALL.faint_apart_px + 1)
+    """Return the long silhouettes that persist for fewer frames, where heights are uneven, away from sure walls."""
+    faint = standing >= WALL.faint_frames(least_frames)
+    parts, is_long = _parts(faint, WALL.faint_gap_px // 2)
+    return is_long[parts] & doubled(uneven, faint.shape) & ~highest(sure, WALL.faint_apart_px + 1)
 
 
-def _parts(silhouettes: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the number of each connected silhouette, 0 where there is none, and which numbers are of long ones."""
+def _parts(silhouettes: NDArray[np.bool_], gap: int = 0) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the number of each silhouette, 0 where there is none, and which numbers are of long ones.
+
+    gap: distance over which pieces belong together, in pixels of half resolution.
+    """
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
-    parts: NDArray[np.int64] = np.asarray(label(silhouettes, connectivity=2))
-    extents = [max(side.stop - side.start for side in part) for part in find_objects(parts)]
+    parts: NDArray[np.int64] = np.asarray(label(highest(silhouettes, gap + 1), connectivity=2)) * silhouettes
+    extents = [max(side.stop - side.start for side in part) if part else 0 for part in find_objects(parts)]
     return parts, np.array([0, *extents]) >= WALL.least_length_px // 2
 
 
