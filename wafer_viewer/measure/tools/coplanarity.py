@@ -399,8 +399,9 @@ def coplanarity(
     'seating', it is the largest distance of a top from the plane through the three tops on which the part would stand;
     its centre of gravity is taken in the middle of the bumps. The definitions follow JESD22-B108 [1]_.
 
-    Bump heights count from the surroundings of each bump. Bumps cut by the region, or with unmeasured tops, are only
-    counted. Noise draws the extremes apart, so that the true coplanarity is rather smaller.
+    Bump heights count from the surroundings of each bump, beyond what the focus window sees of its foot. Bumps cut by
+    the region, or with unmeasured tops, are only counted. Noise draws the extremes apart, so that the true coplanarity
+    is rather smaller.
 
     References
     ----------
