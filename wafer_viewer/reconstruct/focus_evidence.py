@@ -165,8 +165,6 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
     edges = corrected.edges
     if edges is None or edges.side[row, col] == EdgeSide.AWAY:
         return ()
-    if np.isfinite(edges.bleeding_um[row, col]):
-        return (_apart_verdict(corrected.searched_um, edges, row, col),)
     off_um = abs(float(corrected.searched_um[row, col]) - float(edges.expected_um[row, col]))
     side_is_known = edges.side[row, col] != EdgeSide.OUTLINE
     outline_verdict = Verdict(
@@ -190,19 +188,6 @@ def _edge_verdicts(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdi
         note=_along_note(edges, row, col),
     )
     return outline_verdict, along
-
-
-def _apart_verdict(z_um: NDArray[np.float32], edges: BleedingEdges, row: int, col: int) -> Verdict:
-    """Return the verdict on a dark pixel beside a faint wall with nothing measured further from it."""
-    return Verdict(
-        gate="edge",
-        question="Is the height another than that of the bright side of the wall?",
-        score=_finite(abs(z_um[row, col] - edges.bleeding_um[row, col])),
-        limit=edges.apart_um,
-        unit="um",
-        passed=bool(edges.apart(z_um)[row, col]),
-        note=_wall_side_note(edges, row, col),
-    )
 
 
 def _along_note(edges: BleedingEdges, row: int, col: int) -> str:

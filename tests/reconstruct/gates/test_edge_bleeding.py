@@ -231,15 +231,6 @@ def test_a_faint_silhouette_is_a_wall_where_the_heights_jump_beside_it() -> None
     assert (side[40:160, 124:] == EdgeSide.AWAY).all()
 
 
-def test_a_dark_height_that_nothing_tells_of_counts_unless_it_is_that_of_the_bright_side() -> None:
-    side, nothing = np.full((1, 3), EdgeSide.DARK, np.uint8), np.full((1, 3), np.nan, np.float32)
-    height, bright = np.array([[40.0, 1.0, 40.0]], np.float32), np.array([[0.0, 0.0, np.nan]], np.float32)
-    none = np.zeros(side.shape, np.bool_)
-    edges = BleedingEdges(side, nothing, bright, nothing, nothing, 1.0, none, tolerance_um=3.0)
-    _, origin = judge_edges(height, np.full(side.shape, Origin.MEASURED, np.uint8), edges)
-    assert origin.tolist() == [[Origin.MEASURED, Origin.BLEEDING_EDGE, Origin.BLEEDING_EDGE]]
-
-
 def test_the_height_of_a_die_is_not_expected_beyond_the_bright_line_of_its_rim() -> None:
     shape = 200, 240
     line = silhouettes((slice(0, 100), slice(56, 66), 9))
@@ -278,7 +269,7 @@ def test_below_a_line_no_height_counts() -> None:
     height, origin = np.zeros(side.shape, np.float32), np.full(side.shape, Origin.MEASURED, np.uint8)
     fall, below_line = np.full_like(height, np.nan), np.zeros(side.shape, bool)  # NaN: not searched
     below_line[:, 10:] = True
-    edges = BleedingEdges(side, height, fall, height, fall, 1.0, below_line, tolerance_um=3.0)
+    edges = BleedingEdges(side, height, height, fall, 1.0, below_line, tolerance_um=3.0)
     _, found = judge_edges(height, origin, edges)
     assert (found[:, :10] == Origin.MEASURED).all()
     assert (found[:, 10:] == Origin.BLEEDING_EDGE).all()
@@ -291,7 +282,7 @@ def test_on_the_dark_side_a_height_that_shows_across_the_wall_only_is_its_outlin
     fall = np.full_like(height, np.nan)
     fall[:, 10:20] = 0.5
     below_line = np.zeros(side.shape, bool)
-    edges = BleedingEdges(side, height, fall, height, fall, 1.0, below_line, tolerance_um=3.0)
+    edges = BleedingEdges(side, height, height, fall, 1.0, below_line, tolerance_um=3.0)
     _, found = judge_edges(height, origin, edges)
     assert (found[:, 10:20] == Origin.BLEEDING_EDGE).all()
     assert (found[:, :10] == Origin.MEASURED).all()
@@ -406,7 +397,7 @@ def test_a_peak_at_the_end_of_the_sweep_is_not_taken_for_none(peak: float) -> No
     peaks_near(levels, 0, np.linspace(0, 116.0, 30), np.array([[peak]], np.float32), 2, 4, height, fall)
     assert np.isnan(fall).all()
     edges = BleedingEdges(
-        np.full((1, 1), EdgeSide.DARK, np.uint8), height, fall, height, fall, 1.0,
+        np.full((1, 1), EdgeSide.DARK, np.uint8), height, height, fall, 1.0,
         np.zeros((1, 1), np.bool_), 4.0,
     )  # fmt: skip
     assert not edges.unconfirmed.any()

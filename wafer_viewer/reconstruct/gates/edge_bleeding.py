@@ -27,7 +27,6 @@ from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
 from wafer_viewer.reconstruct.gates.edge_sides import (
-    APART_TOLERANCES,
     BAND_REACH_PX,
     STANDING_GAPS,
     WALL,
@@ -79,8 +78,7 @@ class BleedingEdges:
     """Wall side, expected height and wall-parallel focus of the pixels near walls, all arrays [row, col].
 
     side: codes of `EdgeSide`; expected_um: the height of the pixel's side further from the wall, NaN where none is
-    near; bleeding_um: the height of the bright side for dark pixels beside a faint wall that nothing is expected of,
-    NaN elsewhere; z_um: where the focus along the wall peaks near the expected height, NaN where it does not or was not
+    near; z_um: where the focus along the wall peaks near the expected height, NaN where it does not or was not
     looked for; fall: how far it falls from there, in powers of two, NaN where it was not looked for or the sweep ends
     too soon; min_fall: what noise reaches once in a hundred pixels; below_line: whether a bright line above the
     expected height is near, bool; tolerance_um: how far from the expected height a height may be.
@@ -88,7 +86,6 @@ class BleedingEdges:
 
     side: NDArray[np.uint8]
     expected_um: NDArray[np.float32]
-    bleeding_um: NDArray[np.float32]
     z_um: NDArray[np.float32]
     fall: NDArray[np.float32]
     min_fall: float
@@ -98,15 +95,6 @@ class BleedingEdges:
     def agrees(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return whether heights agree with those of their side further from the wall, bool [row, col]."""
         return np.abs(z_um - self.expected_um) < self.tolerance_um
-
-    def apart(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return whether dark heights that nothing further from the wall tells of are not those of the bright side."""
-        return np.abs(z_um - self.bleeding_um) > self.apart_um
-
-    @property
-    def apart_um(self) -> float:
-        """Smallest difference of such a height from the bright side."""
-        return APART_TOLERANCES * self.tolerance_um
 
     @property
     def unconfirmed(self) -> NDArray[np.bool_]:
@@ -193,21 +181,15 @@ def find_edges(
     dark_um, bright_um = side_heights_um(
         peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
     )
-    dark_um, bright_um = (repeated(cells, COARSE_PX, frames.shape) for cells in (dark_um, bright_um))
     expected_um = _expected(sides.side, dark_um, bright_um)
     wall_um = doubled(frames.z_um.astype(np.float32)[band.frame], frames.shape)
-    beside_line = _beside_lines(sides.side, how.reach_px)
-    below_line = beside_line & (expected_um < wall_um - how.tolerance_um)
+    below_line = _beside_lines(sides.side, how.reach_px) & (expected_um < wall_um - how.tolerance_um)
     z_um, fall = (np.full(frames.shape, np.nan, np.float32) for _ in range(2))
     near = near_of(how, frames)
     searched = (sides.side == EdgeSide.DARK) & ~below_line & (origin != Origin.CLIPPED) & (how.mode == "rims")
     wanted = np.where(searched, expected_um, np.float32(np.nan))
     _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
-    alone = (sides.side == EdgeSide.DARK) & np.isnan(expected_um) & ~beside_line & ~doubled(band.sure, frames.shape)
-    bleeding_um = np.where(alone, bright_um, np.float32(np.nan))
-    return BleedingEdges(
-        sides.side, expected_um, bleeding_um, z_um, fall, noise_fall(near), below_line, how.tolerance_um
-    )
+    return BleedingEdges(sides.side, expected_um, z_um, fall, noise_fall(near), below_line, how.tolerance_um)
 
 
 def _beside_lines(side: NDArray[np.uint8], reach_px: int) -> NDArray[np.bool_]:
@@ -233,13 +215,12 @@ def judge_edges(
     """Return the heights and origins of a field corrected at its edges.
 
     Near a wall a measured height is retained where it agrees with its side and the focus along the wall confirms it,
-    unless it lies below a line. On the dark side of a faint wall where nothing tells of the side it is retained unless
-    it is the height of the bright one. Others are marked as bleeding. Where the focus along the wall gives a height it
+    unless it lies below a line, and is marked as bleeding otherwise; where the focus along the wall gives a height it
     is used, whatever the other gates decided.
     """
     along = edges.along
     near_edge = edges.side != EdgeSide.AWAY
-    retained = edges.agrees(z_um) & ~edges.unconfirmed & ~edges.below_line | edges.apart(z_um)
+    retained = edges.agrees(z_um) & ~edges.unconfirmed & ~edges.below_line
     bleeding = near_edge & (origin == Origin.MEASURED) & ~retained
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
@@ -261,8 +242,9 @@ def warm_up(frames: Frames, window: int) -> None:
 def _expected(
     side: NDArray[np.uint8], dark_um: NDArray[np.float32], bright_um: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the height of each pixel's side; NaN for pixels on neither side."""
-    return np.where(side == EdgeSide.DARK, dark_um, np.where(side == EdgeSide.BRIGHT, bright_um, np.float32(np.nan)))
+    """Return the cell height of each pixel's side; NaN for pixels on neither side."""
+    dark, bright = (repeated(cells, COARSE_PX, side.shape) for cells in (dark_um, bright_um))
+    return np.where(side == EdgeSide.DARK, dark, np.where(side == EdgeSide.BRIGHT, bright, np.float32(np.nan)))
 
 
 def _wall_of(band: Band, sides: Sides) -> Wall:

@@ -408,6 +408,9 @@ class AnchorParameters:
         Distance within which these pixels lie on the bright side.
     dark_cells : int, cells
         Distance within which they lie on the dark side.
+    apart : float
+        Smallest difference from the bright side, in tolerances, of an anchor of the dark side nearer to the wall than
+        the focus window reaches.
     barrier_share : float
         Bright fraction of a cell that parts dark cells: the bright line of a polished rim is between two heights.
     """
@@ -422,12 +425,11 @@ class AnchorParameters:
     pure_share: float = 0.95
     bright_cells: int = 1
     dark_cells: int = 2
+    apart: float = 2.0
     barrier_share: float = 0.4
 
 
 ANCHOR = AnchorParameters()
-APART_TOLERANCES = 2.0
-"""Smallest difference from the bright side, in tolerances, of a dark height within reach of the focus window."""
 _ANCHOR_REACH = ANCHOR.reach_px // COARSE_PX
 """Reach of an anchor, in cells."""
 
@@ -450,7 +452,7 @@ def side_heights_um(
     far_dark, near_dark, bright = _cell_sides(all_in_focus, band, sides, dark_counts)
     nothing = np.float32(np.nan)
     bright_um = _from_anchors(np.where(bright, heights, nothing), tolerance_um)
-    apart = np.abs(heights - bright_um) > APART_TOLERANCES * tolerance_um
+    apart = np.abs(heights - bright_um) > ANCHOR.apart * tolerance_um
     lines = halved(sides.bright_share) >= ANCHOR.barrier_share
     dark_um = _from_anchors(np.where(far_dark | (near_dark & apart), heights, nothing), tolerance_um, lines)
     return dark_um, bright_um
