@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
+import threading
+import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -27,7 +30,7 @@ from wafer_viewer.store.formats.exporters import export
 from wafer_viewer.store.formats.npz_file import read_npz
 from wafer_viewer.store.formats.readers import read_surface
 from wafer_viewer.store.io.checksums import strip_checksum
-from wafer_viewer.store.io.guarded_reading import FACTOR
+from wafer_viewer.store.io.guarded_reading import FACTOR, read_content
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses
 from wafer_viewer.store.records.golden_dies import open_golden
 
@@ -241,3 +244,24 @@ def test_a_dataset_in_another_encoding_is_refused(tmp_path, wrong):
     record.write_bytes(good)
     journal.write_bytes((b'{"type":"fault","what":"' + wrong + b'","time":"","x":1' + wrong + b"}\n") * 2)
     assert "journal.jsonl is damaged in line 1" in refusal(journal, lambda file: Dataset.open(file.parent))
+
+
+def test_a_small_file_takes_no_more_memory_than_it_has(tmp_path):
+    path = tmp_path / "scan.json"
+    path.write_bytes(b"{}")
+    tracemalloc.start()
+    try:
+        assert read_content(path, most=2_000_000_000) == b"{}"
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_a_pipe_is_read_to_its_end(tmp_path):
+    path, content = tmp_path / "pipe", bytes(range(256)) * 1000
+    os.mkfifo(path)
+    writer = threading.Thread(target=path.write_bytes, args=(content,))
+    writer.start()
+    assert read_content(path) == content
+    writer.join()

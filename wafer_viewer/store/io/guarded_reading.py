@@ -60,7 +60,10 @@ def read_content(path: Path, refuse: type[WaferViewerError] = DatasetError, most
     """
     try:
         with path.open("rb") as file:
-            content = file.read(limit(most) + 1)
+            expected = min(os.fstat(file.fileno()).st_size, limit(most))
+            content = file.read(expected + 1)  # a read allocates all that it asks for
+            if len(content) > expected:  # the file grows, or is a pipe, which has no size
+                content += file.read(limit(most) + 1 - len(content))
     except FileNotFoundError as fault:
         raise refuse(f"{path} cannot be read, it does not exist: check the path.") from fault
     except OSError as fault:
