@@ -25,7 +25,7 @@ def work(request: RenderRequest) -> bytes:
         raise DatasetError("The frames are gone.")
     if request.k == 2:
         os._exit(1)
-    return str(os.getpid()).encode()
+    return f"{os.getpid()}".encode() if request.k == 0 else f"{time.monotonic_ns()}".encode()
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +48,35 @@ def test_pictures_are_made_in_another_process_and_kept(painter: Painter) -> None
     assert painter.paint(requested(1)).result() == first
 
 
+def test_browsers_that_ask_at_the_same_time_share_one_rendering(painter: Painter) -> None:
+    first, second = (painter.paint(requested(6, k=3)) for _ in range(2))
+    assert first.result(30) is second.result(30)
+
+
+def test_a_rendering_goes_on_for_those_who_still_wait(painter: Painter) -> None:
+    waits = painter.paint(requested(7, k=4))  # what follows is not begun before
+    gone, stays = (painter.paint(requested(8, k=4)) for _ in range(2))
+    assert gone.cancel()
+    assert stays.result(30)
+    assert waits.result(30)
+
+
+def test_a_rendering_that_no_one_waits_for_is_withdrawn_and_can_be_asked_for_again(painter: Painter) -> None:
+    gone = painter.paint(requested(9, k=5))
+    assert gone.cancel()
+    assert painter.paint(requested(9, k=5)).result(30)
+
+
 def test_an_error_is_raised_by_the_future_and_not_cached(painter: Painter) -> None:
     for _ in range(2):
         with pytest.raises(DatasetError, match=r"The frames are gone\."):
             painter.paint(requested(2, k=1)).result(30)
+
+
+def test_an_error_reaches_each_of_those_who_wait(painter: Painter) -> None:
+    for asked in [painter.paint(requested(10, k=1)) for _ in range(2)]:
+        with pytest.raises(DatasetError, match=r"The frames are gone\."):
+            asked.result(30)
 
 
 def test_after_its_death_it_is_started_anew(painter: Painter) -> None:

@@ -31,11 +31,20 @@ NICENESS = 5
 """Niceness of the render process."""
 
 
+@dataclasses.dataclass(slots=True)
+class _Rendering:
+    """A request in the render process, and the futures of those who wait for it."""
+
+    future: Future[bytes]
+    answers: list[Future[bytes]] = dataclasses.field(default_factory=list[Future[bytes]])
+
+
 class Painter:
     """Client of the render process, which answers `RenderRequest`s in order, one at a time.
 
-    Answers are cached, so that a second browser gets them at once. Cancelling its future withdraws a request. If the
-    process dies, it is restarted with the next request; the futures it held raise BrokenProcessPool.
+    Answers are cached, so that a second browser gets them at once, and browsers that ask while one is rendered get the
+    same bytes. A rendering is withdrawn when all its futures are cancelled. If the process dies, it is restarted with
+    the next request; the futures it held raise BrokenProcessPool.
     """
 
     def __init__(self, work: Callable[[RenderRequest], bytes] | None = None) -> None:
@@ -43,6 +52,7 @@ class Painter:
         self._lock = threading.Lock()
         self._cache: OrderedDict[RenderRequest, bytes] = OrderedDict()
         self._cache_bytes = 0
+        self._pending: dict[RenderRequest, _Rendering] = {}
         self._pool = _new_pool()
         self._pool.submit(_warm_up)
 
@@ -52,9 +62,16 @@ class Painter:
             if request in self._cache:
                 self._cache.move_to_end(request)
                 return _done(self._cache[request])
-            future = self._submit(request)
-        future.add_done_callback(lambda done: self._store(request, done))
-        return future
+            rendering = self._pending.get(request)
+            is_new = rendering is None
+            if rendering is None:
+                rendering = self._pending[request] = _Rendering(self._submit(request))
+            answer: Future[bytes] = Future()
+            rendering.answers.append(answer)
+        answer.add_done_callback(lambda done: self._withdraw(request, rendering) if done.cancelled() else None)
+        if is_new:
+            rendering.future.add_done_callback(lambda done: self._answer(request, rendering, done))
+        return answer
 
     def close(self) -> None:
         """End the process; pending requests are cancelled."""
@@ -67,14 +84,32 @@ class Painter:
             self._pool = _new_pool()
             return self._pool.submit(self._work, request)
 
-    def _store(self, request: RenderRequest, done: Future[bytes]) -> None:
-        if done.cancelled() or done.exception() is not None:
-            return
+    def _withdraw(self, request: RenderRequest, rendering: _Rendering) -> None:
+        """Cancel a rendering that no one waits for any more."""
         with self._lock:
-            self._cache_bytes += len(done.result()) - len(self._cache.pop(request, b""))
-            self._cache[request] = done.result()
-            while self._cache_bytes > _CACHE_BYTES and len(self._cache) > 1:
-                self._cache_bytes -= len(self._cache.popitem(last=False)[1])
+            if self._pending.get(request) is not rendering or not all(one.cancelled() for one in rendering.answers):
+                return
+            del self._pending[request]
+        rendering.future.cancel()
+
+    def _answer(self, request: RenderRequest, rendering: _Rendering, done: Future[bytes]) -> None:
+        fault = None if done.cancelled() else done.exception()
+        with self._lock:
+            if self._pending.get(request) is rendering:
+                del self._pending[request]
+            if not done.cancelled() and fault is None:
+                self._store(request, done.result())
+        for answer in rendering.answers:
+            if done.cancelled():
+                answer.cancel()
+            elif answer.set_running_or_notify_cancel():
+                answer.set_result(done.result()) if fault is None else answer.set_exception(fault)
+
+    def _store(self, request: RenderRequest, data: bytes) -> None:
+        self._cache_bytes += len(data) - len(self._cache.pop(request, b""))
+        self._cache[request] = data
+        while self._cache_bytes > _CACHE_BYTES and len(self._cache) > 1:
+            self._cache_bytes -= len(self._cache.popitem(last=False)[1])
 
 
 def _done(data: bytes) -> Future[bytes]:
