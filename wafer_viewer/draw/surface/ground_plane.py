@@ -49,9 +49,12 @@ def shadow(
         return np.dstack([np.full((*soft.shape, 3), shade, np.uint8), (soft * 255).astype(np.uint8)])
     letters = _letters(soft.shape, figures, px_per_mm)
     alpha = letters + soft * (1 - letters)
-    share = (letters / np.maximum(alpha, 1e-6))[..., None]
-    colour = np.array(ink) * share + np.array(shade) * (1 - share)
-    return np.dstack([colour.astype(np.uint8), (alpha * 255).astype(np.uint8)])
+    share = letters / np.maximum(alpha, 1e-6)
+    picture = np.empty((*soft.shape, 4), np.uint8)
+    for channel in range(3):  # three channels at once would take 24 bytes per pixel, several times
+        picture[..., channel] = ink[channel] * share + shade[channel] * (1 - share)
+    picture[..., 3] = alpha * 255
+    return picture
 
 
 _SMALLER = 8

@@ -201,6 +201,19 @@ _MOST = 0.95
 
 def to_texture(shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the texture that is displayed as `shown`, both sRGB uint8 [..., 3]; exact to 3 of 255 for Mako."""
+    texture = np.empty_like(shown)
+    pixels, result = shown.reshape(-1, 3), texture.reshape(-1, 3)
+    for first in range(0, len(pixels), _PIXELS_AT_ONCE):
+        part = slice(first, first + _PIXELS_AT_ONCE)
+        result[part] = _texture_of(pixels[part])
+    return texture
+
+
+_PIXELS_AT_ONCE = 65_536
+"""Pixels whose floats are in memory at once: 8 MB of them, where a picture of 1600 x 1600 px would take 300 MB."""
+
+
+def _texture_of(shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
     light = _linear_table()[np.minimum(shown, _WHITEST)]
     before_output = np.clip(light @ np.linalg.inv(_OUTPUT).T.astype(np.float32), 0, _MOST)
     texture = _inverse_curve(before_output) @ np.linalg.inv(_INPUT).T.astype(np.float32) * (_EXPOSURE / GAIN)
