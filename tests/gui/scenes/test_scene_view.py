@@ -502,7 +502,7 @@ def test_origins_are_drawn_in_little_light_for_their_colours_are_looked_up():
 def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
     stage = RecordingScene()
     for item in block_items((0.0, 0.0, 2.0, 1.0), False, plinth=plinth):
-        item.make(stage, item.name, b"")
+        item.make(stage, item.name, b"" if item.bake is None else item.bake())
     shadow, hatch = (
         trimesh.load(io.BytesIO(stage.nodes[name].args[0]), file_type="glb").bounds[1, 2]
         for name in ("ground/shadow", "ground/hatch")

@@ -10,7 +10,7 @@ import viser
 from wafer_viewer.draw.number_format import number, ticks
 from wafer_viewer.draw.surface import ground_plane, mesh
 from wafer_viewer.draw.surface.mesh import painted
-from wafer_viewer.gui.scene.primitives import Box, add_image_plane, lines
+from wafer_viewer.gui.scene.primitives import Box, add_glb, image_plane, lines
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_theme import colours
 
@@ -34,26 +34,27 @@ def block_items(box: Box, dark: bool, *, plinth: bool) -> list[SceneItem]:
     """Return the base items of a surface that covers a box and has its lowest height at z = 0."""
     depth = plinth_mm(box) if plinth else 2 * _hatch_mm(box)  # level with what lies flat at 0 it would flicker over it
     items = [
-        SceneItem("ground/shadow", (box, dark, depth), partial(_shadow, box=box, dark=dark, z=-depth)),
-        SceneItem("ground/hatch", (box, dark), partial(_hatch, box=box, dark=dark)),
+        SceneItem("ground/shadow", (box, dark, depth), add_glb, bake=partial(_shadow, box, dark, -depth)),
+        SceneItem("ground/hatch", (box, dark), add_glb, bake=partial(_hatch, box, dark)),
         SceneItem("ground/scale", (box, dark, depth), partial(_scale_lines, box=box, dark=dark, z=-depth)),
     ]
-    return items + ([SceneItem("ground/plinth", (box, dark), partial(_plinth, box=box, dark=dark))] if plinth else [])
+    return items + (
+        [SceneItem("ground/plinth", (box, dark), add_glb, bake=partial(_plinth, box, dark))] if plinth else []
+    )
 
 
-def _plinth(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:
+def _plinth(box: Box, dark: bool) -> bytes:
     x0, y0, x1, y1 = box
     sides = [((x0, y0), (x1, y0)), ((x0, y1), (x1, y1)), ((x0, y0), (x0, y1)), ((x1, y0), (x1, y1))]
     edges = {
         k: (np.array([a[0], b[0]], np.float32), np.array([a[1], b[1]], np.float32), np.zeros(2, np.float32))
         for k, (a, b) in enumerate(sides)
     }
-    data = painted(mesh.walls(edges, -plinth_mm(box)), ground_plane.sides(*ground_plane.PLINTH_TONES[dark]))
-    return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
+    return painted(mesh.walls(edges, -plinth_mm(box)), ground_plane.sides(*ground_plane.PLINTH_TONES[dark]))
 
 
-def _hatch(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:
-    """Draw the hatch slightly below the lowest height, visible through holes in the surface."""
+def _hatch(box: Box, dark: bool) -> bytes:
+    """Return the hatch slightly below the lowest height, visible through holes in the surface."""
     width, height = box[2] - box[0], box[3] - box[1]
     scale = _HATCH_PX_PER_SIDE / max(width, height)
     picture = ground_plane.hatch(
@@ -61,8 +62,7 @@ def _hatch(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) 
     )
     inset = _hatch_mm(box)
     inner = (box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset)
-    data = painted(mesh.flat(*inner, -inset), picture)
-    return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
+    return painted(mesh.flat(*inner, -inset), picture)
 
 
 # ---------------------------------------------------------------- shadow and figures
@@ -77,7 +77,7 @@ def figure_height_mm(box: Box) -> float:
     return 0.043 * max(box[2] - box[0], box[3] - box[1])
 
 
-def _shadow(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool, z: float) -> Handle:
+def _shadow(box: Box, dark: bool, z: float) -> bytes:
     palette, pad = colours(dark), _pad_mm(box)
     width, height = box[2] - box[0] + 2 * pad, box[3] - box[1] + 2 * pad
     corners = [(pad, pad), (width - pad, pad), (width - pad, height - pad), (pad, height - pad)]
@@ -85,7 +85,7 @@ def _shadow(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool,
         corners, width, height, pad / 3,
         darkness=palette.shadow_strength, shade=palette.shadow, ink=palette.ink, figures=_figures(box, pad),
     )  # fmt: skip
-    return add_image_plane(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z)
+    return image_plane(picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z)
 
 
 def _tick_places(box: Box) -> tuple[list[float], list[float]]:

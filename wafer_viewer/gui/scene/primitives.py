@@ -132,7 +132,16 @@ def add_image_plane(
     With `blend`, partial alpha is translucent. Without it the alpha is a cutout, and content on top is reliably drawn
     over the image; the browser cannot guarantee this order for two translucent images.
     """
-    data = painted(mesh.flat(*box, z), picture, blend=blend)
+    return add_glb(scene, name, image_plane(picture, box, z, blend=blend))
+
+
+def image_plane(picture: NDArray[np.uint8], box: Box, z: float, *, blend: bool = True) -> bytes:
+    """Return the GLB of an image in the plane of the sample; see `add_image_plane`."""
+    return painted(mesh.flat(*box, z), picture, blend=blend)
+
+
+def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:
+    """Add an unlit mesh without shadows, because lighting is baked into its texture."""
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
 
 

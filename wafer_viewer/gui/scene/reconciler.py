@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -129,6 +130,7 @@ class SceneItem:
     """One scene item. make(scene, node name, data) draws it; equal name and content imply an equal drawing.
 
     request: render request whose result is passed to `make` as data.
+    bake: returns the data for `make` where there is no request; browsers with equal name and content share it.
     stretched: True if the item follows the exaggeration of heights.
     cover: extent of the item. An obsolete item with a cover is removed as soon as other items of its layer cover the
     same extent; one without is removed when all other items are drawn.
@@ -140,6 +142,33 @@ class SceneItem:
     request: RenderRequest | None = None
     stretched: bool = False
     cover: TileExtent | None = None
+    bake: Callable[[], bytes] | None = None
+
+
+_BAKED_ITEMS = 12
+"""Baked data that are kept: shadow, hatch, plinth and picture of the sample, in two colour schemes, and some more."""
+
+
+class BakeCache:
+    """Baked data of all browsers. They are baked one at a time, because baking takes several times their memory."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._baked: OrderedDict[Hashable, bytes] = OrderedDict()
+
+    def data(self, item: SceneItem, bake: Callable[[], bytes]) -> bytes:
+        """Return the data of an item, baked for the first browser that draws it."""
+        key = item.name, item.content
+        with self._lock:
+            if key not in self._baked:
+                self._baked[key] = bake()
+                if len(self._baked) > _BAKED_ITEMS:
+                    self._baked.popitem(last=False)
+            self._baked.move_to_end(key)
+            return self._baked[key]
+
+
+_BAKED = BakeCache()
 
 
 @dataclass(slots=True)
@@ -198,9 +227,14 @@ class SceneReconciler:
     """Nodes of one browser's scene by item name. Used from a single thread; it never blocks."""
 
     def __init__(
-        self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None], gate: SendWindow | None = None
+        self,
+        scene: viser.SceneApi,
+        paint: Paint,
+        arrived: Callable[[], None],
+        gate: SendWindow | None = None,
+        baked: BakeCache = _BAKED,
     ) -> None:
-        self._scene, self._orders, self._gate = scene, RenderQueue(paint, arrived), gate
+        self._scene, self._orders, self._gate, self._baked = scene, RenderQueue(paint, arrived), gate, baked
         self._drawn: dict[str, _Drawn] = {}
         self._leaving: list[tuple[float, Handle]] = []
         self._serial = 0
@@ -258,7 +292,7 @@ class SceneReconciler:
 
     def _try(self, item: SceneItem, faults: list[BaseException]) -> bool:
         """Draw an item if its data is available; return whether it was processed."""
-        data = b""
+        data = b"" if item.bake is None else self._baked.data(item, item.bake)
         if item.request is not None:
             try:
                 outcome = self._orders.outcome(item.request, self._gate is None or self._gate.has_room)

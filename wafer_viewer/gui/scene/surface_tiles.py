@@ -13,6 +13,7 @@ import viser
 from wafer_viewer.draw.colormaps import DIVERGING
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.gui.scene.frustum import Frustum
+from wafer_viewer.gui.scene.primitives import add_glb
 from wafer_viewer.gui.scene.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem, TileExtent
 from wafer_viewer.gui.state.view_state import Look as LookMode
@@ -290,11 +291,6 @@ def _wall(window: RenderRequest, shown: Shown) -> RenderRequest:
     source = max((shown.at(window.level, *edge) for edge in edges), key=lambda edge: edge.stamp)
     none = (False, False, False, False)
     return dataclasses.replace(window, source=source, what="walls", look=DisplayStyle(), light=Light(), skirts=none)
-
-
-def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:
-    """Add an unlit mesh without shadows, because lighting is baked into its texture."""
-    return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
 
 
 class PointTile:

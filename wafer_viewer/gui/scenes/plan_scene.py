@@ -14,7 +14,7 @@ from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.draw.surface import ground_plane
 from wafer_viewer.gui.presenters.focus import followed
 from wafer_viewer.gui.scene.camera_presets import Clear
-from wafer_viewer.gui.scene.primitives import Box, Group, add_image_plane, closed, dashed, lines, rectangle
+from wafer_viewer.gui.scene.primitives import Box, Group, add_glb, closed, dashed, image_plane, lines, rectangle
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_contents import SceneContents, corners_of
 from wafer_viewer.gui.scene.scene_theme import colours
@@ -59,12 +59,12 @@ def sample_items(snapshot: Snapshot, dark: bool, z: float = 0.0, *, dimmed: bool
         return [SceneItem("stage", (limits, dark, z), partial(_stage_grid, box=reach_box(limits), dark=dark, z=z))]
     outline = overview.outline_um if overview is not None and overview.outline_um else _corners_um(box)
     items = [
-        SceneItem("sample/shadow", (outline, dark, z), partial(_shadow, outline=outline, box=box, dark=dark, z=z)),
+        SceneItem("sample/shadow", (outline, dark, z), add_glb, bake=partial(_shadow, outline, box, dark, z)),
         SceneItem("sample/outline", (outline, dark, z), partial(_outline, outline=outline, dark=dark, z=z)),
     ]
     if overview is not None and overview.image is not None:
-        picture = partial(_picture, overview=overview, dark=dark, z=z, dimmed=dimmed)
-        items.append(SceneItem("sample/picture", (overview, dark, z, dimmed), picture))
+        picture = partial(_picture, overview, dark, z, dimmed)
+        items.append(SceneItem("sample/picture", (overview, dark, z, dimmed), add_glb, bake=picture))
     return items
 
 
@@ -80,10 +80,7 @@ def _outline(
     return lines(scene, name, closed(corners, z + 1e-3), colours(dark).soft_ink, 1.6)
 
 
-def _shadow(
-    scene: viser.SceneApi, name: str, _: bytes,
-    *, outline: tuple[tuple[float, float], ...], box: Box, dark: bool, z: float,
-) -> Handle:  # fmt: skip
+def _shadow(outline: tuple[tuple[float, float], ...], box: Box, dark: bool, z: float) -> bytes:
     palette, pad = colours(dark), 0.14 * max(box[2] - box[0], box[3] - box[1])
     width, height = box[2] - box[0] + 2 * pad, box[3] - box[1] + 2 * pad
     down = [(x * 1e-3 - box[0] + pad, box[3] + pad - y * 1e-3) for x, y in outline]
@@ -91,13 +88,11 @@ def _shadow(
         down, width, height, pad / 3,
         darkness=palette.shadow_strength * 0.9, shade=palette.shadow, long_side_px=640,
     )  # fmt: skip
-    return add_image_plane(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z - 0.01)
+    return image_plane(picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z - 0.01)
 
 
-def _picture(
-    scene: viser.SceneApi, name: str, _: bytes, *, overview: Overview, dark: bool, z: float, dimmed: bool
-) -> Handle:
-    """Draw the overview image cut out along the sample's outline, blended with the ground colour if dimmed."""
+def _picture(overview: Overview, dark: bool, z: float, dimmed: bool) -> bytes:
+    """Return the overview image cut out along the sample's outline, blended with the ground colour if dimmed."""
     image = _smaller(overview.image)
     picture = _tinted(image, colours(dark).ground, _DIMMED if dimmed else 0.0, dark)
     rows, cols = (overview.image.shape if overview.image is not None else (1, 1))[:2]
@@ -106,7 +101,7 @@ def _picture(
     box = (edge_x * 1e-3, (edge_y - height) * 1e-3, (edge_x + width) * 1e-3, edge_y * 1e-3)
     if overview.outline_um:
         picture = _cut_out(picture, [((x - edge_x) / width, (edge_y - y) / height) for x, y in overview.outline_um])
-    return add_image_plane(scene, name, picture, box, z, blend=False)
+    return image_plane(picture, box, z, blend=False)
 
 
 def _smaller(image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:

@@ -11,12 +11,12 @@ from wafer_viewer.gui.presenters.defects import chosen_defect
 from wafer_viewer.gui.scene.camera_presets import Clear
 from wafer_viewer.gui.scene.display_range import DisplayRangeHysteresis, as_planned
 from wafer_viewer.gui.scene.plinth import block_items, figure_height_mm, plinth_mm
-from wafer_viewer.gui.scene.primitives import Box
+from wafer_viewer.gui.scene.primitives import Box, add_glb
 from wafer_viewer.gui.scene.quadtree import Span
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, corners_of
 from wafer_viewer.gui.scene.surface_cache import SurfaceInfoCache, heights_of
-from wafer_viewer.gui.scene.surface_tiles import Shown, TiledSurface, add_glb, bounds_mm, display_style_of
+from wafer_viewer.gui.scene.surface_tiles import Shown, TiledSurface, bounds_mm, display_style_of
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache, pose_items
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.findings import AnyResult
