@@ -6,9 +6,9 @@ The true viewer as a process of its own, and browsers that speak with it over th
 a picture: the holder of the controls, some watchers, and one that never reads its socket. The holder takes the tour's
 plan and scans; during scan and reconstruction it goes from step to step, and the time from the press to the page of the
 other step is taken. Measured too: frames that are missing or damaged on the disk, and the memory of the viewer alone
-(USS), before the scan, at most, and at the end. The same without anyone looking on is measured before. It exits with
-status 1 if a frame is missing, less than 95 % of the presses are answered in 0.5 s, or the memory grows by 200 MB more
-than with nobody.
+(USS), before the scan, at most (looked at four times a second), and at the end. The same with the holder alone is
+measured before. It exits with status 1 if a frame is missing, less than 95 % of the presses are answered in 0.5 s, or
+the highest memory is 200 MB above that with nobody; and if a row holds less than 20 presses, which says nothing.
 --quick: 3 watchers.
 """
 
@@ -18,6 +18,7 @@ import argparse
 import shutil
 import sys
 import tempfile
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,7 @@ STEPS = ("Gauge check", "Plan")
 """Steps that are there at any time."""
 ANSWER_S, SHARE, GROWTH_MB = 0.5, 0.95, 200.0
 PAUSE_S, LEARN_S, PATIENCE_S = 0.7, 3.0, 900.0
+LEAST_PRESSES, LOOK_S = 20, 0.25
 HEADER = (
     "looking on",
     "frames",
@@ -64,11 +66,6 @@ class Outcome:
     memory_mb: tuple[float, float, float]
 
     @property
-    def growth_mb(self) -> float:
-        """Growth of the viewer's memory from before the scan to its highest."""
-        return max(self.memory_mb[1:]) - self.memory_mb[0]
-
-    @property
     def share(self) -> float:
         """Share of the presses that were answered in time."""
         return float(np.mean(np.array(self.answers_s) <= ANSWER_S))
@@ -88,25 +85,50 @@ def scanned(n_watchers: int) -> Outcome:
         signs = _signs(holder)
         _until_ready(holder)
         before = viewer.memory().viewer / 1e6
-        holder.press("Start scan")
-        answers_s, most = list[float](), before
-        begun, step = time.monotonic(), 0
-        while not _is_over(data) and time.monotonic() - begun < PATIENCE_S:
-            step += 1
-            label = STEPS[step % len(STEPS)]
-            answers_s.append(holder.answer_s(label, *signs[label], most_s=20.0))
-            most = max(most, viewer.memory().viewer / 1e6)
-            time.sleep(PAUSE_S)
+        with _Highest(viewer) as highest:
+            holder.press("Start scan")
+            answers_s, begun = list[float](), time.monotonic()
+            time.sleep(LEARN_S)  # the page goes to the step of the scan by itself
+            for label in STEPS:
+                holder.press(label)
+                time.sleep(PAUSE_S)
+            while not _is_over(data) and time.monotonic() - begun < PATIENCE_S:
+                label = STEPS[len(answers_s) % len(STEPS)]
+                answers_s.append(holder.answer_s(label, *signs[label], most_s=20.0))
+                time.sleep(PAUSE_S)
         end = viewer.memory().viewer / 1e6
+        if len(answers_s) < LEAST_PRESSES:
+            raise SystemExit(f"{len(answers_s)} presses say nothing: the scan was over too soon.")
         (path,) = data.glob("*.wafer")
         report = Dataset.open(path).check()
         n_frames = Dataset.open(path).scan.plan.n_frames
-        return Outcome(n_frames, len(report.missing), len(report.damaged), answers_s, (before, most, end))
+        return Outcome(n_frames, len(report.missing), len(report.damaged), answers_s, (before, highest.mb, end))
     finally:
         for browser in browsers:
             browser.close()
         viewer.close()
         shutil.rmtree(data, ignore_errors=True)
+
+
+class _Highest:
+    """Looks at the memory of a viewer on a thread of its own, and keeps the highest, in MB."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.mb = 0.0
+        self._viewer, self._over = viewer, threading.Event()
+        self._thread = threading.Thread(target=self._look)
+
+    def __enter__(self) -> _Highest:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._over.wait(LOOK_S):
+            self.mb = max(self.mb, self._viewer.memory().viewer / 1e6)
 
 
 def _signs(holder: PlainBrowser) -> dict[str, tuple[tuple[str, str], Any]]:
@@ -158,17 +180,17 @@ def main() -> None:
     n_watchers = QUICK if arguments.quick else arguments.watchers
     alone, watched = scanned(0), scanned(n_watchers)
     rows = []
-    for name, outcome in (("nobody", alone), (f"{n_watchers}, and one that never reads", watched)):
+    for name, outcome in (("nobody but the holder", alone), (f"{n_watchers}, and one that never reads", watched)):
         times = np.array(outcome.answers_s)
         frames = (outcome.n_frames, outcome.n_missing, outcome.n_damaged)
         spread = (f"{100 * outcome.share:.1f} %", float(np.median(times)), float(np.quantile(times, 0.95)))
         rows.append((name, *frames, len(times), *spread, *outcome.memory_mb))
     show("Scan and reconstruction of the tour, the holder going from step to step", HEADER, rows)
-    growth_mb = watched.growth_mb - alone.growth_mb
+    growth_mb = max(watched.memory_mb) - max(alone.memory_mb)
     lost = watched.n_missing + watched.n_damaged
     print(
         f"\nno frame lost: {met(lost, 0)}; answers: {met(watched.share, SHARE, at_least=True)}; "
-        f"memory, {growth_mb:.0f} MB more growth than with nobody: {met(growth_mb, GROWTH_MB)}"
+        f"memory, {growth_mb:.0f} MB more than with nobody: {met(growth_mb, GROWTH_MB)}"
     )
     sys.exit(lost > 0 or watched.share < SHARE or growth_mb > GROWTH_MB)
 
