@@ -456,7 +456,7 @@ class PlanPanel:
 
     def _show_everything(self, snapshot: Snapshot, draft: Draft, checks: tuple[PreflightCheck, ...]) -> None:
         if not self._edits.under_way:
-            self._show_form(_form_of(draft))
+            self._show_form(form_of_draft(snapshot))
         self._show_words(snapshot, draft)
         self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
         self._sweep_fields.visible = draft.job is not None
@@ -494,10 +494,10 @@ class PlanPanel:
         for name, field in self._fields.items():
             field.show(getattr(form, name))
 
-    def _read_form(self, draft: Draft) -> PlanForm:
+    def _read_form(self, snapshot: Snapshot) -> PlanForm:
         """Return the session's form with the edited inputs; other inputs may not be up to date yet."""
         typed = {name: field.value for name, field in self._fields.items() if field.edited}
-        return dataclasses.replace(_form_of(draft), **typed)
+        return dataclasses.replace(form_of_draft(snapshot), **typed)
 
     def _typed(self, event: Any) -> None:
         self._typed_range_um = event.target.value
@@ -505,7 +505,7 @@ class PlanPanel:
 
     def _commit(self) -> Future[Any] | None:
         page, snapshot = self._page, self._page.session.snapshot
-        typed = self._read_form(snapshot.draft)
+        typed = self._read_form(snapshot)
         try:
             form = with_typed_range(typed, snapshot.draft.job, self._typed_range_um)
             job = job_of(form, snapshot.draft.job, snapshot.rig.limits)
@@ -547,5 +547,9 @@ class PlanPanel:
         self._strategies.show(words.strategies(snapshot, draft))
 
 
-def _form_of(draft: Draft) -> PlanForm:
-    return stored_form(draft.typed) or form_of(draft.job)
+def form_of_draft(snapshot: Snapshot) -> PlanForm:
+    """Return the form of the draft; before there is a plan, it names the person who is signed in."""
+    draft = snapshot.draft
+    if (typed := stored_form(draft.typed)) is not None:
+        return typed
+    return form_of(draft.job) if draft.job is not None else PlanForm(operator=snapshot.control.author(""))

@@ -138,7 +138,7 @@ class PlanEditor:
     def next_wafer(self) -> None:
         """Start the same job for another wafer; undo cannot restore the data of the last one."""
         self._marks, self._confirmed = MarkedPositions(), True
-        self._jobs.restart(for_next_wafer(self._job()))
+        self._jobs.restart(self._for_operator(for_next_wafer(self._job())))
         self.price()
 
     @command
@@ -161,7 +161,14 @@ class PlanEditor:
     def _take_up(self, job: Job) -> None:
         """Load a job from a file; a released one has no wafer yet."""
         self._marks, self._confirmed = MarkedPositions(), True
-        self._put(for_next_wafer(job) if job.released else job)
+        self._put(self._for_operator(for_next_wafer(job) if job.released else job))
+
+    def _for_operator(self, job: Job) -> Job:
+        """Return a job that names no operator yet with the person who is signed in, if somebody is."""
+        name = self._command_queue.now.control.author("")
+        if job.sample.operator or not name:
+            return job
+        return replace(job, sample=replace(job.sample, operator=name))
 
     @command
     def undo(self) -> None:
@@ -274,7 +281,7 @@ class PlanEditor:
             return self._jobs.value
         if limits is None:
             raise PlanError(RIG_STARTS)
-        return first_job(limits)
+        return self._for_operator(first_job(limits))
 
     def _grid(self, job: Job) -> FieldGrid:
         if job.grid is not None:
