@@ -13,10 +13,12 @@ import pytest
 
 from tests.support.datasets.samples import make_job, make_plan
 from wafer_viewer.model.errors import DatasetError, DiskFullError
+from wafer_viewer.session.planning.headless import stored_verdict_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S, require_free, write_text
+from wafer_viewer.store.io import atomic_files
+from wafer_viewer.store.io.atomic_files import DEAD_AFTER_S, atomic_write, require_free, write_text
 
 MAKING = """
 import sys, pathlib, time
@@ -36,6 +38,10 @@ def aged(path, seconds=DEAD_AFTER_S + 60):
 def create(path):
     job = make_job()
     return DatasetWriter.create(path, make_plan(job), job)
+
+
+def no_space(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 @pytest.fixture
@@ -130,6 +136,38 @@ def test_a_lock_on_a_full_disk_is_refused_with_a_sentence_and_not_held(tmp_path,
         Lock.take(tmp_path / "a.wafer")
     monkeypatch.undo()
     Lock.take(tmp_path / "a.wafer").release()
+
+
+def test_a_lock_is_released_on_a_disk_that_does_not_take_an_empty_text(tmp_path, monkeypatch):
+    create(tmp_path / "a.wafer").close()
+    lock = Lock.take(tmp_path / "a.wafer")
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", no_space)
+        lock.release()
+    assert not lock.held
+    Lock.take(tmp_path / "a.wafer").release()
+
+
+def test_a_verdict_that_finds_no_space_ends_with_a_sentence(tmp_path, monkeypatch):
+    create(tmp_path / "a.wafer").close()
+    monkeypatch.setattr(os, "write", no_space)
+    with pytest.raises(DiskFullError, match=r"lock cannot be written: the disk is full: free some space"):
+        stored_verdict_of(tmp_path / "a.wafer", "default")
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_folder_whose_name_does_not_reach_the_disk_is_not_there(tmp_path, monkeypatch, is_there):
+    folder = tmp_path / "fields.ome.zarr"
+    if is_there:
+        folder.mkdir()
+        (folder / "zarr.json").write_text("old")
+    with monkeypatch.context() as full, pytest.raises(DiskFullError, match="fields.ome.zarr cannot be written"):
+        with atomic_write(folder) as part:
+            part.mkdir()
+            (part / "zarr.json").write_text("new")
+            full.setattr(atomic_files, "to_disk", lambda path: no_space() if path == tmp_path else None)
+    assert [path.read_text() for path in tmp_path.rglob("*.json")] == ["old"] * is_there
+    assert len(list(tmp_path.iterdir())) == is_there
 
 
 def test_what_is_left_of_a_killed_export_is_removed_by_the_next_one(tmp_path):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.errors import DatasetError, DiskFullError, PlanError
 from wafer_viewer.model.job import Job, Trial, WaferVerdict
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
@@ -61,10 +61,15 @@ def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um
 
 
 def stored_verdict_of(path: Path, result: str) -> WaferVerdict:
-    """Return the verdict on the wafer of a dataset; it is stored in the dataset unless another process holds that."""
+    """Return the verdict on the wafer of a dataset; it is stored in the dataset unless another process holds that.
+
+    Raises DiskFullError when there is no space to store it.
+    """
     data = Dataset.open(path.absolute())
     try:
         lock = Lock.take(data.path)
+    except DiskFullError:
+        raise
     except DatasetError:
         return verdict_of(data, data.result(result), keep=False)
     try:

@@ -11,6 +11,7 @@ import datetime
 import os
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -71,9 +72,10 @@ class Lock:
         return self._descriptor >= 0
 
     def release(self) -> None:
-        """Release the lock; idempotent."""
+        """Release the lock; idempotent. A disk that does not even take the empty text leaves a name of no meaning."""
         if self._descriptor >= 0:
-            _write(self._descriptor, b"")
+            with suppress(OSError):
+                _write(self._descriptor, b"")
             os.close(self._descriptor)
             self._descriptor = -1
 

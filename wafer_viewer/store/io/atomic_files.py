@@ -234,12 +234,22 @@ def _existing(folder: Path) -> Path:
 
 
 def _move(source: Path, target: Path, *, wait: bool) -> None:
-    """Rename, also over a non-empty folder, which is moved away first and removed afterwards."""
+    """Rename, also over a non-empty folder, which is moved away first and removed afterwards.
+
+    A folder whose new name does not reach the disk is moved back: whoever was told so can write it again.
+    """
     aside = target.with_name(f"{source.name}.old") if target.is_dir() else None
     if aside is not None:
         target.rename(aside)
     source.replace(target)
-    if wait:
-        to_disk(target.parent)
+    try:
+        if wait:
+            to_disk(target.parent)
+    except OSError:
+        if target.is_dir():
+            target.rename(source)
+            if aside is not None:
+                aside.rename(target)
+        raise
     if aside is not None:
         remove(aside)
