@@ -11,8 +11,10 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import PIL.Image
 import pytest
 import tifffile
 
@@ -182,6 +184,50 @@ def test_an_image_of_too_many_pixels_is_refused_and_has_no_preview(tmp_path):
     says = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
     assert "large.png has 30016 x 30000 pixels, more than 179 million" in says
     assert preview(path) == b""
+
+
+WEBP_KINDS: dict[str, dict[str, Any]] = {"lossy": {}, "lossless": {"lossless": True}, "extended": {"exif": bytes(8)}}
+
+
+def webp(kind: str, rows: int, cols: int) -> bytes:
+    """Return a WebP of 64 x 48 pixels whose header states others."""
+    out = io.BytesIO()
+    grey = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    PIL.Image.fromarray(grey).save(out, "WEBP", **WEBP_KINDS[kind])
+    content = bytearray(out.getvalue())
+    if kind == "lossy":
+        content[26:30] = struct.pack("<HH", cols, rows)
+    elif kind == "lossless":
+        kept = int.from_bytes(content[21:25], "little") >> 28
+        content[21:25] = (kept << 28 | (rows - 1) << 14 | (cols - 1)).to_bytes(4, "little")
+    else:
+        content[24:30] = (cols - 1).to_bytes(3, "little") + (rows - 1).to_bytes(3, "little")
+    return bytes(content)
+
+
+@pytest.mark.parametrize("kind", WEBP_KINDS)
+def test_a_webp_of_more_pixels_than_it_can_hold_is_refused_before_it_is_decoded(tmp_path, kind):
+    path = tmp_path / "large.webp"
+    path.write_bytes(webp(kind, 48, 64))
+    assert pictures(path)[0].read().shape == (48, 64)
+    path.write_bytes(webp(kind, 9000, 11_000))
+    outcome = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
+    assert "large.webp states 11000 x 9000 pixels in" in outcome
+    assert preview(path) == b""
+
+
+def test_an_animation_is_refused_and_not_read_as_its_first_frame(tmp_path):
+    path = tmp_path / "stack.webp"
+    first, *others = (PIL.Image.fromarray(np.full((48, 64, 3), 40 * n, np.uint8)) for n in range(3))
+    first.save(path, save_all=True, append_images=others)
+    says = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
+    assert "it is an animation of 3 frames" in says
+
+
+def test_a_blank_webp_of_a_common_camera_is_read(tmp_path):
+    path = tmp_path / "blank.webp"
+    PIL.Image.new("RGB", (2448, 2048), (9, 9, 9)).save(path, lossless=True)
+    assert pictures(path)[0].read().shape == (2048, 2448)
 
 
 def test_a_compressed_tiff_of_too_many_pixels_is_refused(tmp_path):

@@ -161,11 +161,16 @@ def test_a_folder_whose_name_does_not_reach_the_disk_is_not_there(tmp_path, monk
     if is_there:
         folder.mkdir()
         (folder / "zarr.json").write_text("old")
-    with monkeypatch.context() as full, pytest.raises(DiskFullError, match="fields.ome.zarr cannot be written"):
+
+    def write():
         with atomic_write(folder) as part:
             part.mkdir()
             (part / "zarr.json").write_text("new")
-            full.setattr(atomic_files, "to_disk", lambda path: no_space() if path == tmp_path else None)
+
+    with monkeypatch.context() as full:
+        full.setattr(atomic_files, "to_disk", lambda path: no_space() if path == tmp_path else None)
+        with pytest.raises(DiskFullError, match=r"fields\.ome\.zarr cannot be written: the disk is full"):
+            write()
     assert [path.read_text() for path in tmp_path.rglob("*.json")] == ["old"] * is_there
     assert len(list(tmp_path.iterdir())) == is_there
 

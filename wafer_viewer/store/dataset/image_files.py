@@ -7,6 +7,7 @@ sorted in natural order: 2 before 10.
 from __future__ import annotations
 
 import io
+import math
 import struct
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
-from wafer_viewer.store.io.atomic_files import natural_sort_key
+from wafer_viewer.store.io.atomic_files import natural_sort_key, size
 from wafer_viewer.store.io.guarded_reading import (
     MEND,
     MOST_PAGES,
@@ -152,6 +153,50 @@ def _read_with_pillow(path: Path, page: int = 0) -> NDArray[Any]:
         return np.asarray(image if grey else image.convert("RGB"))
 
 
+_WEBP_FREE_PIXELS, _WEBP_PIXELS_PER_BYTE = 6_000_000, 1000
+"""Pixels that any WebP may state, and for each of its bytes: a blank lossy one has 580, an unsharp frame 30 to 60."""
+_WEBP_ANIMATED = 0x02
+
+
+def _read_webp(path: Path) -> NDArray[Any]:
+    """Read a still WebP; its decoder takes memory for all pixels that are stated as soon as it opens a file."""
+    import PIL.Image
+
+    content = read_content(path)
+    rows, cols = _webp_shape(content)
+    require_pixels(path.name, rows, cols)
+    if rows * cols > limit(max(_WEBP_FREE_PIXELS, _WEBP_PIXELS_PER_BYTE * len(content))):
+        sizes = f"{cols} x {rows} pixels in {size(len(content))}"
+        raise DatasetError(f"{path.name} states {sizes}, more than a WebP of that size can hold: {MEND}.")
+    if _is_animated(content):
+        n_frames = content.count(b"ANMF")
+        raise DatasetError(
+            f"Import stopped at {path.name}: it is an animation of {n_frames} frames. {NOTHING_WRITTEN} "
+            "Save each frame as an image of its own."
+        )
+    with PIL.Image.open(io.BytesIO(content), formats=("WEBP",)) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _webp_shape(content: bytes) -> tuple[int, int]:
+    """Return rows and columns that the header of a WebP states. Raises ValueError for another file."""
+    match content[12:16]:
+        case b"VP8X":
+            cols, rows = (1 + int.from_bytes(content[at : at + 3], "little") for at in (24, 27))
+        case b"VP8L":
+            packed = int.from_bytes(content[21:25], "little")
+            cols, rows = 1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)
+        case b"VP8 ":
+            cols, rows = (int.from_bytes(content[at : at + 2], "little") & 0x3FFF for at in (26, 28))
+        case _:
+            raise ValueError("it has no header of a WebP")
+    return rows, cols
+
+
+def _is_animated(content: bytes) -> bool:
+    return content[12:16] == b"VP8X" and bool(content[20] & _WEBP_ANIMATED)
+
+
 def _read_tiff(path: Path) -> NDArray[Any]:
     return _read_page(path, 0, path.name)
 
@@ -164,7 +209,7 @@ READERS: dict[str, Callable[[Path], NDArray[Any]]] = {
     ".jpeg": _read_with_pillow,
     ".bmp": _read_with_pillow,
     ".pgm": _read_with_pillow,
-    ".webp": _read_with_pillow,
+    ".webp": _read_webp,
 }
 """Image readers by file suffix."""
 
@@ -256,6 +301,9 @@ def _middle_page(path: Path) -> NDArray[Any] | None:
 def _n_pixels(path: Path) -> int:
     import PIL.Image
 
+    if path.suffix.lower() == ".webp":
+        with path.open("rb") as file:
+            return math.prod(_webp_shape(file.read(32)))
     with PIL.Image.open(path) as image:  # reads the header alone
         return image.width * image.height
 
