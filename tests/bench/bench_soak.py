@@ -1,11 +1,13 @@
 """Eight hours at the page in minutes: does memory grow, does anything go wrong?
 
-    python tests/bench/bench_soak.py [--quick]
+    python tests/bench/bench_soak.py [--hours H] [--quick]
 
 The true viewer on a surface of 44 million points, and a browser that does what an operator does in a day, without the
 pauses between: 500 changes of the view (nearer, farther, aside, presets, colours), 100 profiles, 20 times the page is
 closed and opened again. Memory is what belongs to the viewer's process and to its painters alone (USS), from after a
-warm-up of a tenth of it all to the end, both times with the browser at rest. --quick: a fiftieth of the whole on 11
+warm-up of a tenth of it all to the end, both times with the browser at rest; and, each time before the page is closed,
+the slope of a line through the later half of these looks, as growth in 24 hours. --hours: another length of use, for
+which 8 hours are 500 changes of the view. --quick: a fiftieth of the whole on 11
 million points, half of it to warm up: it says whether it runs, not what it leaves.
 """
 
@@ -20,13 +22,16 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+import numpy as np
+
 from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, big_dataset
 from tests.bench.page_driver import Memory, Seat, Viewer, seats
 from tests.bench.tables import met, show
 
-CHANGES, PROFILES, RECONNECTS = 500, 100, 20
+HOURS, CHANGES, PROFILES, RECONNECTS = 8.0, 500, 100, 20
 WARM_UP, QUICK = 0.1, 0.01
 GROWTH_GOAL = 0.1
+LEAST_LOOKS = 4
 PAUSE_MS = 250
 """An operator looks at least so long."""
 
@@ -34,8 +39,10 @@ PAUSE_MS = 250
 def main() -> None:
     parser = argparse.ArgumentParser(description="Whether memory grows in a day's use.")
     parser.add_argument("--quick", action="store_true", help="whether it runs")
-    quick = parser.parse_args().quick
-    warm_up, share = (QUICK, QUICK) if quick else (WARM_UP, 1.0)
+    parser.add_argument("--hours", type=float, default=HOURS, help="hours of use")
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    warm_up, share = (QUICK, QUICK) if quick else (WARM_UP, arguments.hours / HOURS)
     dataset, began = big_dataset(QUICK_PX if quick else BLOCKS_PX), time.monotonic()
     viewer = Viewer(dataset.parent)
     try:
@@ -44,16 +51,21 @@ def main() -> None:
             seat.choose(dataset)
             use(seat, warm_up)
             before = at_rest(seat)
-            use(seat, share)
+            looks = use(seat, share)
             after = at_rest(seat)
         told = viewer.complaints()
     finally:
         viewer.close()
     show_growth(before, after, share, time.monotonic() - began, told)
+    show_slope(looks, share)
 
 
-def use(seat: Seat, share: float) -> None:
-    """A share of a day: views are changed, now and then a profile is taken, or the page opened anew."""
+def use(seat: Seat, share: float) -> list[float]:
+    """A share of a day: views are changed, now and then a profile is taken, or the page opened anew.
+
+    Returns the memory of viewer and painters, MB, each time before the page is closed.
+    """
+    looks = list[float]()
     change, profile = changes(seat), profiles(seat)
     n_changes = round(CHANGES * share)
     per_profile, per_reconnect = CHANGES // PROFILES, CHANGES // RECONNECTS
@@ -63,9 +75,12 @@ def use(seat: Seat, share: float) -> None:
         if n % per_profile == 0:
             next(profile)()
         if n % per_reconnect == 0:
+            memory = seat.viewer.memory()
+            looks.append((memory.viewer + memory.painters) / 1e6)
             seat.leave()
             seat.open()
             seat.first_picture_s()
+    return looks
 
 
 def changes(seat: Seat) -> Iterator[Callable[[], object]]:
@@ -123,6 +138,21 @@ def show_growth(before: Memory, after: Memory, share: float, took_s: float, told
     print(f"\nErrors in the log: {len(errors)}")
     for line in errors[:20]:
         print(f"  {line}")
+
+
+def show_slope(looks: list[float], share: float) -> None:
+    """The growth in 24 hours by the slope of the later half of the looks at the memory."""
+    later = np.array(looks[len(looks) // 2 :])
+    if len(later) < LEAST_LOOKS:
+        print(f"\n{len(later)} looks at the memory in the later half: too few for a slope.")
+        return
+    hours = np.arange(len(later)) * HOURS / RECONNECTS
+    (slope, _), covariance = np.polyfit(hours, later, 1, cov=True)
+    growth, error = (24 * value / later.mean() for value in (slope, np.sqrt(covariance[0, 0])))
+    print(
+        f"\nSlope of {len(later)} looks, the later half of {share * HOURS:g} h: {100 * growth:+.1f} % in 24 h, "
+        f"standard error {100 * error:.1f} %; all looks, MB: {' '.join(f'{look:.0f}' for look in looks)}"
+    )
 
 
 if __name__ == "__main__":
