@@ -2,16 +2,20 @@
 
     python tests/bench/bench_kills.py [--kills N] [--from SEED] [--only WORD ...] [--quick]
 
-The true commands of the program on a small simulated dataset. A kill comes
+The true commands of the program, and the true session with its processes, on a small simulated dataset. A kill comes
 
 - command: before a random write, rename, wait or new file of the command, which does all work in its process;
-- leader, worker: at a random moment of a command with two workers of its own, which is leader and scheduler in one.
+- leader, worker: at a random moment of a command with two workers of its own, which is leader and scheduler in one;
+- viewer, rig process, session's worker, session's host: at a random moment of a session, which the host serves as
+  leader and scheduler.
 
-After each kill the same command runs again, as a person would do. At the end of a few kills of the same dataset it is
-compared with one that nothing happened to: frames by pixels and z, surfaces, poses, mosaics, results and exports by
-their bytes; `check` has to pass; no lock, no half-written file and no process may be left. A session whose rig process,
-worker or host is killed: tests/session/test_session.py. It exits with status 1 if anything is lost, differs or is in
-the way. --quick: 20 kills, of commands alone.
+After each kill the same command runs again, or the session is started again and continues, as a person would do. At
+the end of a few kills of the same dataset it is compared with one that nothing happened to: frames by pixels and z,
+surfaces, poses, mosaics, results and exports by their bytes; `check` has to pass; no lock, no half-written file and no
+process may be left. What a session says must be one sentence. Its frames are compared with themselves, before and after
+each kill, because the noise of its rig is another in each scan, and its surfaces with one of the same frames that
+nothing happened to. It exits with status 1 if anything is lost, differs or is in the way. --quick: 20 kills, of
+commands alone.
 """
 
 from __future__ import annotations
@@ -22,8 +26,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,10 +46,14 @@ from tests.support.killed_programs import (
     wait_for,
     workers_below,
 )
+from tests.support.killed_session import SessionProgram
+from tests.support.session_program import COLS as SESSION_COLS
+from tests.support.session_program import DONE
+from tests.support.session_program import FRAMES as SESSION_FRAMES
 from wafer_viewer.session.session_restore import KEPT_IN
 from wafer_viewer.store.dataset.lock import Lock
 
-FULL, QUICK = 200, 20
+FULL, QUICK = 232, 20
 ROWS, COLS, FRAMES = 2, 2, 8
 A_CHAIN = 5
 """Kills of one dataset before it is brought to its end and compared."""
@@ -87,6 +95,15 @@ SHARES = {
     ("leader", "stitch"): 6,
     ("worker", "heights"): 6,
     ("worker", "stitch"): 6,
+    ("rig process", "scan"): 20,
+    ("session's worker", "scan"): 4,
+    ("session's worker", "heights"): 8,
+    ("session's worker", "stitch"): 8,
+    ("session's host", "heights"): 4,
+    ("session's host", "stitch"): 4,
+    ("viewer", "scan"): 8,
+    ("viewer", "heights"): 6,
+    ("viewer", "stitch"): 6,
 }
 """Kills of a full run by process and stage."""
 
@@ -220,7 +237,7 @@ def kill_in_crew(bench: Bench, stage: str, tally: Tally, n_kills: int, process: 
             if tally.kills >= n_kills:
                 break
             pid = bench.commands.begin(*bench.words(stage, data), "--workers", "2")
-            if wait_for(_reached(stage, data, time.time()), pid):
+            if wait_for(_reached(stage, data / NAME / "results" / "default", time.time()), pid):
                 time.sleep(bench.rng.uniform(0.0, 0.5 * bench.took_s[stage]))
                 victims = [pid] if process == "leader" else workers_below(pid)
                 tally.kills += bool(victims) and kill(bench.rng.choice(victims))
@@ -234,9 +251,8 @@ def kill_in_crew(bench: Bench, stage: str, tally: Tally, n_kills: int, process: 
         bench.bring_to_end(stage, data, tally)
 
 
-def _reached(stage: str, data: Path, begun_at: float) -> Callable[[], bool]:
+def _reached(stage: str, result: Path, begun_at: float, rows: int = ROWS, cols: int = COLS) -> Callable[[], bool]:
     """Tell whether a stage has begun: the surface of a field, or of each field, was written since then."""
-    result = data / NAME / "results" / "default"
 
     def is_new(path: Path) -> bool:
         with suppress(OSError):
@@ -245,8 +261,145 @@ def _reached(stage: str, data: Path, begun_at: float) -> Callable[[], bool]:
 
     if stage == "heights":
         return lambda: any(is_new(path) for path in (result / "surfaces").glob("*.npz"))
-    names = [f"r{row:04d}c{col:04d}.npz" for row in range(ROWS) for col in range(COLS)]
+    names = [f"r{row:04d}c{col:04d}.npz" for row in range(rows) for col in range(cols)]
     return lambda: all(is_new(result / "surfaces" / name) for name in names)
+
+
+# ---------------------------------------------------------------------------------------------------------- a session
+
+
+SHARED, WHOLE = "a", "undisturbed"
+"""Name of the dataset that a session keeps, and of its result that nothing happened to."""
+
+
+class SessionBench:
+    """A session with a data folder of its own; started again after each kill of itself."""
+
+    def __init__(self, bench: Bench, tally: Tally) -> None:
+        self.bench, self.tally, self.rng = bench, tally, bench.rng
+        self.data = Path(tempfile.mkdtemp(dir=bench.folder, prefix="session-"))
+        self.program = SessionProgram(self.data)
+        self._timed("scan", SHARED)  # the first of each compiles
+        self._timed("surface", SHARED, WHOLE)
+        self.scan_s, self.surface_s = self._timed("scan", "timed"), self._timed("surface", SHARED, WHOLE)
+
+    def _timed(self, *words: str) -> float:
+        begun = time.monotonic()
+        if (answer := self.program.do(*words)) != DONE:
+            raise SystemExit(f"{words} fails undisturbed: {answer}")
+        return time.monotonic() - begun
+
+    def strike(self, victim: str) -> None:
+        """Kill the session or one of its processes."""
+        match victim:
+            case "viewer":
+                self.bench.orphans(self.program.kill(), self.tally)
+                self.tally.kills += 1
+                self.program = SessionProgram(self.data)
+            case "rig process":
+                self.tally.kills += kill(self.program.pids["rig"])
+            case "session's host":
+                self.tally.kills += kill(self.program.pids["compute"])
+            case _:
+                workers = workers_below(self.program.pids["compute"])
+                self.tally.kills += bool(workers) and kill(self.rng.choice(workers))
+
+    def disturb(self, victim: str, words: tuple[str, ...], at: Callable[[], bool], most_s: float) -> str | None:
+        """Begin to do something and kill at a random moment of it; return the answer that follows, if one does."""
+        if (answer := self.program.begin(*words)) is not None:
+            return answer
+        if not wait_for(at, self.program.process.pid):
+            return self.program.answer()
+        if (answer := self.program.answer(self.rng.uniform(0.0, most_s))) is not None:
+            return answer  # it was over before
+        self.strike(victim)
+        return None if victim == "viewer" else self.program.answer()
+
+    def finish(self, *words: str) -> None:
+        """Do something to its end, as a person does who tries again."""
+        if (answer := self.program.do(*words)) != DONE:
+            self.tally.block(f"{words}: {answer}")
+
+    def read(self, answer: str | None, *, may_fail: bool) -> None:
+        """Judge what a person reads after a kill: nothing, or one sentence where the work had to end."""
+        if answer in (None, DONE):
+            return
+        if (remark := f"a person reads: {answer}") not in self.tally.remarks:
+            self.tally.remarks.append(remark)
+        if not may_fail or "\n" in answer or not answer.endswith(".") or "Traceback" in answer:
+            self.tally.block(f"no sentence: {answer}")
+
+    def close(self) -> None:
+        """End the session, and require that nothing of it is left."""
+        self.bench.orphans(self.program.close(), self.tally)
+        self.bench.require_whole(self.data, self.tally)
+        shutil.rmtree(self.data, ignore_errors=True)
+
+
+@contextmanager
+def _session(bench: Bench, tally: Tally) -> Generator[SessionBench]:
+    session = SessionBench(bench, tally)
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def kill_during_scan(session: SessionBench, victim: str, n_kills: int) -> None:
+    """Kill in scans, each up to three times before it is continued to its end."""
+    tally = session.tally
+    for number in range(3 * n_kills):
+        if tally.kills >= n_kills:
+            break
+        name = f"scan-{number}"
+        dataset, kept = session.data / f"{name}.wafer", dict[str, str]()
+        for _ in range(3):
+            answer = session.disturb(victim, ("scan", name), lambda: True, 0.6 * session.scan_s)
+            session.read(answer, may_fail=victim == "rig process")
+            kept = _compared(kept, frames(dataset), tally)
+            if answer == DONE or tally.kills >= n_kills:
+                break
+        session.finish("scan", name)
+        tally.lost += SESSION_COLS * SESSION_FRAMES - len(_compared(kept, frames(dataset), tally))
+
+
+def kill_during_surface(session: SessionBench, victim: str, stage: str, n_kills: int) -> None:
+    """Kill while a surface is made, from its first field or from its last one on."""
+    tally = session.tally
+    for number in range(3 * n_kills):
+        if tally.kills >= n_kills:
+            break
+        words = ("surface", SHARED, f"result-{number}")
+        result = session.data / f"{SHARED}.wafer" / "results" / words[-1]
+        at = (lambda: True) if stage == "heights" else _reached(stage, result, time.time(), 1, SESSION_COLS)
+        before = frames(session.data / f"{SHARED}.wafer")
+        answer = session.disturb(victim, words, at, 0.5 * session.surface_s)
+        session.read(answer, may_fail=False)
+        if victim == "viewer" or answer != DONE:
+            session.finish(*words)
+        _compared(before, frames(session.data / f"{SHARED}.wafer"), tally)
+        _same_results(session.data, WHOLE, words[-1], tally)
+
+
+def _same_results(data: Path, one: str, other: str, tally: Tally) -> None:
+    """Compare surfaces, poses and mosaics of two results of the same frames."""
+    there, parts = content(data), ("/surfaces/", "/mosaic.zarr/", "/poses.npz")
+    first, second = (
+        {
+            path.split(f"/{name}/", 1)[1]: mark
+            for path, mark in there.items()
+            if f"/results/{name}/" in path and any(part in path for part in parts)
+        }
+        for name in (one, other)
+    )
+    if not first:
+        raise SystemExit(f"{one} holds nothing to compare with.")
+    missing = sorted(first.keys() - second.keys())
+    differ = [path for path in second if first.get(path) != second[path]]
+    tally.lost += len(missing)
+    tally.differ += len(differ)
+    if missing or differ:
+        tally.remarks.append(f"{other}: missing {missing[:4]}, different {differ[:4]}")
 
 
 # ----------------------------------------------------------------------------------------------------------- the table
@@ -255,11 +408,15 @@ def _reached(stage: str, data: Path, begun_at: float) -> Callable[[], bool]:
 def strike(bench: Bench, process: str, stage: str, n_kills: int) -> Tally:
     """Kill a process in a stage some times, and return what came of it."""
     tally = Tally()
-    bench.undisturbed("scan")
-    bench.undisturbed("export")
     match process:
         case "command":
             kill_commands(bench, stage, tally, n_kills)
+        case "viewer" | "rig process" | "session's worker" | "session's host":
+            with _session(bench, tally) as session:
+                if stage == "scan":
+                    kill_during_scan(session, process, n_kills)
+                else:
+                    kill_during_surface(session, process, stage, n_kills)
         case _:
             kill_in_crew(bench, stage, tally, n_kills, process)
     return tally

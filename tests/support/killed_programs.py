@@ -49,7 +49,7 @@ n_frames = {frames}
 """
 ORPHANS_END_S = 60.0
 """Time in s for what a killed program had started to end by itself, on a busy machine."""
-_ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 _OF_THE_RUN = ("manifest.json", "lock", "scan.json", "journal.jsonl")
 """Files of a dataset that hold times, or what was done when."""
 
@@ -80,7 +80,7 @@ class Commands:
         self._output = folder / "command"
         words = [sys.executable, "-m", "tests.support.struck_command"]
         self._server = subprocess.Popen(
-            words, env=_ENVIRONMENT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder
+            words, env=ENVIRONMENT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder
         )
         self._running = 0
         self._answer()
