@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from wafer_viewer.numerics.filters.sliding_filters import (
+    blurred,
+    box_mean,
     doubled,
     halved,
     highest,
@@ -58,3 +61,21 @@ def test_halved_and_doubled_fit_together_at_odd_borders() -> None:
 
 def test_the_mean_of_flags_is_a_share() -> None:
     assert mean(np.eye(9, dtype=bool), 3)[4, 4] == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize(("repeats", "mode"), [(True, "nearest"), (False, "constant")])
+@pytest.mark.parametrize("shape", [(31, 44), (1, 9), (40, 1), (5, 7)])
+def test_the_mean_of_a_box_is_that_of_scipy_to_the_last_bit(
+    kind: type, repeats: bool, mode: str, shape: tuple[int, int]
+) -> None:
+    plane = RNG.normal(0, 1, shape).astype(kind)
+    for size in (1, 2, 3, 8, 9, 15, 60):
+        np.testing.assert_array_equal(box_mean(plane, size, repeats), uniform_filter(plane, size, mode=mode))
+
+
+@pytest.mark.parametrize("sigma", [0.7, 1.0, 3.0])
+@pytest.mark.parametrize("shape", [(31, 44), (1, 9), (40, 1), (5, 7)])
+def test_a_blur_is_that_of_scipy_to_the_last_bit(sigma: float, shape: tuple[int, int]) -> None:
+    plane = RNG.normal(0, 1, shape).astype(np.float32)
+    np.testing.assert_array_equal(blurred(plane, sigma), gaussian_filter(plane, sigma, mode="nearest"))

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.numerics.filters.sliding_filters import box_mean
+
 Plane = NDArray[np.float64]
 
 
@@ -55,6 +57,4 @@ _LEAST_DETERMINANT = 1e-3
 
 def _sums(plane: Plane, size: int) -> Any:
     """Sliding sum of size x size pixels, with zeros beyond the border."""
-    from scipy.ndimage import uniform_filter
-
-    return uniform_filter(plane, size, mode="constant") * size**2
+    return box_mean(plane, size, repeats=False) * size**2

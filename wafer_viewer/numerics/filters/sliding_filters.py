@@ -7,10 +7,24 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import Int64s, Ints, inlined_part, lean_part
+from wafer_viewer.numerics.jit import (
+    Bools,
+    Float32s,
+    Float64s,
+    Int,
+    Int64s,
+    Ints,
+    Real,
+    inlined_part,
+    lean_kernel,
+    lean_part,
+)
 
 Plane = TypeVar("Plane", bound=NDArray[Any])
 Floats = NDArray[np.float32]
+Reals = TypeVar("Reals", Float32s, Float64s)
+_GAUSSIAN_REACH = 4.0
+"""Reach of a Gaussian, in standard deviations."""
 
 
 def highest(plane: Plane, size: int) -> Plane:
@@ -56,24 +70,150 @@ def sliding_range(plane: Floats, size: int) -> Floats:
 
 
 def mean(plane: NDArray[Any], size: int) -> Floats:
-    """Sliding mean of size x size pixels."""
-    from scipy.ndimage import uniform_filter
-
-    return np.asarray(uniform_filter(plane.astype(np.float32), size, mode="nearest"), np.float32)
+    """Sliding mean of size x size pixels, the border repeated."""
+    return box_mean(np.ascontiguousarray(plane, np.float32), size, repeats=True)
 
 
 def mean_of_valid(plane: NDArray[Any], valid: NDArray[np.bool_], size: int) -> Floats:
     """Sliding mean of the known ones of size x size pixels; 0 if there are none."""
-    share = mean(valid, size)
-    total = mean(np.where(valid, plane, np.zeros_like(plane)), size)
-    return total / np.where(share > 0.5 / size**2, share, np.float32(np.inf)).astype(np.float32)
+    values, known = (np.empty(plane.shape, np.float32) for _ in range(2))
+    _mask(np.ascontiguousarray(plane, np.float32), np.ascontiguousarray(valid), values, known)
+    total, share = mean(values, size), mean(known, size)
+    _divide(total, share, np.float32(0.5 / size**2))
+    return total
+
+
+@lean_kernel
+def _mask(plane: Float32s, valid: Bools, values: Float32s, known: Float32s) -> None:
+    """Write the known values, 0 elsewhere, and 1 where they are known."""
+    for y in range(plane.shape[0]):
+        for x in range(plane.shape[1]):
+            values[y, x] = plane[y, x] if valid[y, x] else np.float32(0)
+            known[y, x] = valid[y, x]
+
+
+def box_mean(plane: Reals, size: int, repeats: bool) -> Reals:
+    """Sliding mean of size x size pixels of contiguous float32 or float64; beyond the border it repeats, or is zero.
+
+    The same sums in the same order as those of scipy's uniform filter, to the last bit.
+    """
+    if size <= 1 or not plane.size:
+        return plane.copy()
+    out, sums = np.empty_like(plane), np.empty((2, plane.shape[1]))
+    line: Any = np.empty(plane.shape[1] + size, plane.dtype)
+    _slide_box(plane, size, repeats, line, sums, out)
+    return out
+
+
+@lean_kernel
+def _slide_box(plane: Reals, size: Int, repeats: bool, line: Reals, sums: Float64s, out: Reals) -> None:
+    """Filter row by row: down the columns by running sums, then along the row, in which only the additions wait.
+
+    line: a row and its surroundings; sums: two rows of work space.
+    """
+    n_rows, n_cols = plane.shape
+    before, after = size // 2, size - 1 - size // 2
+    total, step, wide = sums[0], sums[1], np.float64(size)
+    total[:] = 0
+    line[:] = 0
+    for r in range(-before, after + 1):
+        if repeats or 0 <= r < n_rows:
+            _add_to(total, plane[min(max(r, 0), n_rows - 1)])
+    inner, ahead = line[before : before + n_cols], line[size:]
+    for y in range(n_rows):
+        new, old = y + after, y - before - 1
+        if y > 0 and (repeats or (new < n_rows and old >= 0)):
+            _add_difference(total, plane[min(new, n_rows - 1)], plane[max(old, 0)])
+        elif y > 0 and new < n_rows:
+            _add_to(total, plane[new])
+        elif y > 0 and old >= 0:
+            _subtract_from(total, plane[old])
+        for x in range(n_cols):
+            inner[x] = total[x] / wide
+        if repeats:
+            line[:before] = inner[0]
+            line[before + n_cols :] = inner[n_cols - 1]
+        for x in range(n_cols):
+            step[x] = np.float64(ahead[x]) - np.float64(line[x])
+        along, row = 0.0, out[y]
+        for x in range(size):
+            along += line[x]
+        for x in range(n_cols):
+            here = along
+            along += step[x]
+            step[x] = here
+        for x in range(n_cols):
+            row[x] = step[x] / wide
+
+
+@lean_part
+def _add_to(total: Float64s, row: NDArray[Any]) -> None:
+    for x in range(total.size):
+        total[x] += row[x]
+
+
+@lean_part
+def _subtract_from(total: Float64s, row: NDArray[Any]) -> None:
+    for x in range(total.size):
+        total[x] -= row[x]
+
+
+@lean_part
+def _add_difference(total: Float64s, new: Reals, old: Reals) -> None:
+    for x in range(total.size):
+        total[x] += np.float64(new[x]) - np.float64(old[x])
+
+
+@lean_kernel
+def _divide(total: Float32s, share: Float32s, least: Real) -> None:
+    """Divide by the known share, 0 where that is no more than `least`."""
+    for y in range(total.shape[0]):
+        for x in range(total.shape[1]):
+            s = share[y, x]
+            total[y, x] = total[y, x] / (s if s > least else np.float32(np.inf))
 
 
 def blurred(plane: NDArray[Any], sigma: float) -> Floats:
-    """Gaussian blur."""
-    from scipy.ndimage import gaussian_filter
+    """Gaussian blur, the border repeated: scipy's, to the last bit."""
+    plane = np.ascontiguousarray(plane, np.float32)
+    reach = int(_GAUSSIAN_REACH * sigma + 0.5)
+    weights = np.exp(-0.5 / sigma**2 * np.arange(-reach, reach + 1) ** 2)
+    weights = (weights / weights.sum())[reach:]
+    out, n_cols = np.empty_like(plane), plane.shape[1]
+    _blur(plane, weights, np.empty(n_cols + 2 * reach, np.float32), np.empty(n_cols), out)
+    return out
 
-    return np.asarray(gaussian_filter(plane.astype(np.float32), sigma, mode="nearest"), np.float32)
+
+@lean_kernel
+def _blur(plane: Float32s, weights: Float64s, line: Float32s, sums: Float64s, out: Float32s) -> None:
+    """Filter row by row: down the columns, then along the row; weights: from the middle on."""
+    last, n_cols, reach = plane.shape[0] - 1, plane.shape[1], weights.size - 1
+    inner = line[reach : reach + n_cols]
+    for y in range(plane.shape[0]):
+        _weigh(plane[y], weights[0], sums)
+        for n in range(reach, 0, -1):
+            _add_pair(plane[max(y - n, 0)], plane[min(y + n, last)], weights[n], sums)
+        for x in range(n_cols):
+            inner[x] = sums[x]
+        line[:reach] = inner[0]
+        line[reach + n_cols :] = inner[n_cols - 1]
+        _weigh(inner, weights[0], sums)
+        for n in range(reach, 0, -1):
+            _add_pair(line[reach - n :], line[reach + n :], weights[n], sums)
+        for x in range(n_cols):
+            out[y, x] = sums[x]
+
+
+@lean_part
+def _weigh(row: Float32s, weight: Real, sums: Float64s) -> None:
+    for x in range(sums.size):
+        sums[x] = np.float64(row[x]) * weight
+
+
+@lean_part
+def _add_pair(one: Float32s, other: Float32s, weight: Real, sums: Float64s) -> None:
+    for x in range(sums.size):
+        sums[x] += (np.float64(one[x]) + np.float64(other[x])) * weight
 
 
 def nearest(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], tuple[NDArray[np.intp], NDArray[np.intp]]]:
