@@ -12,6 +12,7 @@ drift is steady. All frames are registered to their mean, as is usual where a le
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -93,14 +94,23 @@ class Sightings:
 
 
 class TileMotions:
-    """Spectra of tiles and displacements between them, by slots; each is computed once.
+    """Sharpness and spectra of tiles and displacements between them, by slots; each is computed once.
 
-    Those of a live field are computed while its last frames arrive.
+    Those of a live field are computed while its frames arrive.
     """
 
     def __init__(self) -> None:
+        self._sharpness: dict[tuple[int, int], float] = {}
         self._spectra: dict[tuple[int, int], Complex] = {}
         self._moved: dict[tuple[int, int, int], tuple[NDArray[np.float64], np.float64]] = {}
+
+    def sharpness(self, tile: int, slots: list[int], images: Image) -> NDArray[np.float64]:
+        """Return the sharpness of a tile, [n], in frames in these slots."""
+        new = [n for n, slot in enumerate(slots) if (tile, slot) not in self._sharpness]
+        if new:
+            part = images if len(new) == len(slots) else images[new]
+            self._sharpness |= {(tile, slots[n]): one for n, one in zip(new, _sharpness(part).tolist(), strict=True)}
+        return np.array([self._sharpness[tile, slot] for slot in slots])
 
     def spectra(self, tile: int, slots: list[int], images: Image) -> Complex:
         """Return the spectra of a tile, [n, row, col], of frames in these slots."""
@@ -128,17 +138,30 @@ def measure_displacements(
 
     slots: of the frames, in the order of z; motions: what is known of them already, and is kept.
     """
-    side, (high, wide) = _side_px(shape), DISPLACEMENT.tiles
-    corners = [(r, c) for r in _starts(shape[0], side, high) for c in _starts(shape[1], side, wide)]
-    motions = motions or TileMotions()
+    side, motions = _side_px(shape), motions or TileMotions()
     found = [
         _of_tile(n, read(slice(r, r + side), slice(c, c + side)), _middle((r, c), side, shape), slots, motions)
-        for n, (r, c) in enumerate(corners if min(shape) >= side and len(slots) > 1 else [])
+        for n, (r, c) in enumerate(_corners(shape) if len(slots) > 1 else [])
     ]
     return _joined([one for of_tile in found for one in of_tile])
 
 
-def _side_px(shape: tuple[int, int]) -> int:
+def measure_sharpness(frame: Image, slot: int, motions: TileMotions) -> None:
+    """Measure the sharpness of all tiles of one frame, by which those are chosen whose motion is measured."""
+    side = _side_px(frame.shape)
+    for n, (r, c) in enumerate(_corners(frame.shape)):
+        motions.sharpness(n, [slot], frame[None, r : r + side, c : c + side])
+
+
+def _corners(shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return the corners of the tiles, none in a field smaller than a tile."""
+    side, (high, wide) = _side_px(shape), DISPLACEMENT.tiles
+    if min(shape) < side:
+        return []
+    return [(r, c) for r in _starts(shape[0], side, high) for c in _starts(shape[1], side, wide)]
+
+
+def _side_px(shape: tuple[int, ...]) -> int:
     (least, most), (high, wide) = DISPLACEMENT.tile_px, DISPLACEMENT.tiles
     return int(np.clip(min(shape[0] // high, shape[1] // wide), least, most)) // _BIN * _BIN
 
@@ -163,7 +186,7 @@ def _joined(parts: list[Sightings]) -> Sightings:
 def _of_tile(
     tile: int, images: Image, at_px: NDArray[np.float64], slots: NDArray[np.intp], motions: TileMotions
 ) -> list[Sightings]:
-    frames = _sharp_frames(images)
+    frames = _sharp_frames(motions.sharpness(tile, slots.tolist(), images))
     if len(frames) < 2:
         return []
     spectra = motions.spectra(tile, slots[frames].tolist(), images[frames])
@@ -193,11 +216,18 @@ def _of_pairs(
     return many.where(height > DISPLACEMENT.least_peak)
 
 
-def _sharp_frames(images: Image) -> NDArray[np.intp]:
-    """Return the frames in which a tile is sharp, by the gradients along some of its rows."""
-    rows = images[:, :: DISPLACEMENT.every_row].astype(np.float32)
+def _sharpness(images: Image) -> NDArray[np.float64]:
+    """Return the sharpness of a tile in each frame, by the gradients along some of its rows.
+
+    The sums of squares of integers are exact, so that frames may be measured one by one or together.
+    """
+    rows = images[:, :: DISPLACEMENT.every_row].astype(np.float64)
     slopes = rows[:, :, 2:] - rows[:, :, :-2]
-    sharpness = np.einsum("kyx,kyx->k", slopes, slopes)
+    return np.array([np.vdot(slope, slope) for slope in slopes])
+
+
+def _sharp_frames(sharpness: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the frames in which a tile is sharp."""
     if not sharpness.any():
         return np.zeros(0, np.intp)
     low, high = float(sharpness.min()), float(sharpness.max())
@@ -333,9 +363,9 @@ def drift_of(sightings: Sightings, n_frames: int, shape: tuple[int, int]) -> Dri
     sightings = _agreed(sightings, n_frames)
     radius_px = float(np.hypot(*shape)) / 2
     free = _solve(sightings, n_frames, radius_px, DRIFT.growth_tie)
-    grows = _least_extent(free, sightings, [2]) * _MEAN_OVER_FIELD > DRIFT.least_px
+    grows = _extends(free, sightings, [2], DRIFT.least_px / _MEAN_OVER_FIELD)
     rigid = free if grows else _solve(sightings, n_frames, radius_px, DRIFT.rigid)
-    shifts = _least_extent(rigid, sightings, [0, 1]) > DRIFT.least_px
+    shifts = _extends(rigid, sightings, [0, 1], DRIFT.least_px)
     if not grows and not shifts:
         return None
     return Drift(rigid.moves[:, :2] * shifts, rigid.moves[:, 2] / radius_px * grows, shape)
@@ -368,32 +398,35 @@ def _runs(sightings: Sightings, n_frames: int) -> list[Ints]:
     return [run for run in runs if len(run) > 1]
 
 
-def _least_extent(solved: _Solved, sightings: Sightings, axes: list[int]) -> float:
-    """Return a lower bound of the drift range: the largest range minus three jackknife standard errors.
+def _extends(solved: _Solved, sightings: Sightings, axes: list[int], least_px: float) -> bool:
+    """Return whether a lower bound of the drift range, three jackknife standard errors below it, exceeds `least_px`.
 
     The jackknife leaves out one tile at a time. Tiles on the two sides of a trench, whose light moves to the two sides
-    with defocus, disagree.
+    with defocus, disagree. A steady field, whose range is no larger, needs none.
     """
-    surely = 0.0
     for run in _runs(sightings, len(solved.moves)):
         path = solved.moves[run][:, axes]
+        extent = float(np.hypot.reduce(np.ptp(path, axis=0)))
+        if extent <= least_px:
+            continue
         ends = run[[path.sum(axis=1).argmin(), path.sum(axis=1).argmax()]]
         without = np.array([one[ends[1]] - one[ends[0]] for one in solved.without])[:, axes]
         spread = without - without.mean(axis=0)
         error = np.sqrt((len(without) - 1) / len(without) * (spread**2).sum())
-        surely = max(surely, float(np.hypot.reduce(np.ptp(path, axis=0)) - DRIFT.sure_errors * error))
-    return surely
+        if extent - DRIFT.sure_errors * error > least_px:
+            return True
+    return False
 
 
 def _solve(sightings: Sightings, n_frames: int, radius_px: float, growth_tie: float) -> _Solved:
-    """Estimate the moves of the frames, and the moves without each of the tiles.
+    """Estimate the moves of the frames.
 
     Each measurement states moves[second] - moves[first] = moved - growth x place. Its place is taken halfway between
     the two frames and relative to the moved middle of the field, so that growth adds up as a logarithm.
     """
     moves = np.zeros((n_frames, 3))
     if not len(sightings):
-        return _Solved(moves, [])
+        return _Solved(moves, lambda trust: moves, sightings)
     problem = _Problem.of(sightings, n_frames, np.array([DRIFT.shift_tie, DRIFT.shift_tie, growth_tie]))
     pace, trust, rows = np.zeros(3), sightings.weight, _rows(sightings, moves, radius_px)
     for n in range(DRIFT.rounds):
@@ -404,8 +437,7 @@ def _solve(sightings: Sightings, n_frames: int, radius_px: float, growth_tie: fl
         trust = sightings.weight / (1 + (far / max(DRIFT.scatter_px, MAD_TO_SIGMA * float(np.median(far)))) ** 2)
         if n >= DRIFT.rounds // 2:
             pace = problem.pace(moves)
-    without = [problem.moves(rows, trust * (sightings.tile != tile), pace) for tile in np.unique(sightings.tile)]
-    return _Solved(moves, without)
+    return _Solved(moves, lambda kept: problem.moves(rows, trust * kept, pace), sightings)
 
 
 def _rows(sightings: Sightings, moves: Floats, radius_px: float) -> Floats:
@@ -417,12 +449,22 @@ def _rows(sightings: Sightings, moves: Floats, radius_px: float) -> Floats:
     return rows
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Solved:
-    """Moves [k, (rows, cols, growth)] in px, growth at the corner; the mean over measured frames is 0."""
+    """Moves [k, (rows, cols, growth)] in px, growth at the corner; the mean over measured frames is 0.
+
+    of_measurements: returns the moves by some of the measurements, bool [n].
+    """
 
     moves: Floats
-    without: list[Floats]
+    of_measurements: Callable[[NDArray[np.bool_]], Floats]
+    sightings: Sightings
+
+    @functools.cached_property
+    def without(self) -> list[Floats]:
+        """Moves without each of the tiles."""
+        tile = self.sightings.tile
+        return [self.of_measurements(tile != one) for one in np.unique(tile)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

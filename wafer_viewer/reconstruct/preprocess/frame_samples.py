@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.numerics.jit import Greys
 from wafer_viewer.reconstruct.preprocess.drift import TileMotions
 from wafer_viewer.reconstruct.preprocess.flicker import FlickerCells, flicker_cells
 from wafer_viewer.reconstruct.preprocess.sensor_faults import FaultStats, fault_stats
-from wafer_viewer.reconstruct.preprocess.torn_frames import relative_change, sampled_bands
+from wafer_viewer.reconstruct.preprocess.torn_frames import SampledBands, relative_change, sampled_bands
 
 Key = TypeVar("Key")
 Sample = TypeVar("Sample")
@@ -31,7 +30,7 @@ class FrameSamples:
     def __init__(self, clipped_counts: int) -> None:
         self.clipped_counts = clipped_counts
         self._stats: dict[int, FaultStats] = {}
-        self._bands: dict[int, Greys] = {}
+        self._bands: dict[int, SampledBands] = {}
         self._cells: dict[int, FlickerCells] = {}
         self._changes: dict[tuple[int, int], NDArray[np.float32]] = {}
         self.motions = TileMotions()
@@ -40,7 +39,7 @@ class FrameSamples:
         """Make all measurements of a frame, and those of it and the frames near it that were taken before."""
         self.stats(slot, frame)
         self.cells(slot, frame)
-        if self.bands(slot, frame).size:
+        if self.bands(slot, frame).grey.size:
             for near in (slot - 2, slot - 1, slot + 1, slot + 2):
                 if near in self._bands:
                     self.change(slot, near)
@@ -49,8 +48,8 @@ class FrameSamples:
         """Return grey, clipped fraction and focus energy of a frame."""
         return _kept(self._stats, slot, lambda: fault_stats(frame, self.clipped_counts))
 
-    def bands(self, slot: int, frame: Image) -> Greys:
-        """Return a sample of each band of rows of a frame, [band, row, col]."""
+    def bands(self, slot: int, frame: Image) -> SampledBands:
+        """Return a sample of each band of rows of a frame."""
         return _kept(self._bands, slot, lambda: sampled_bands(frame))
 
     def change(self, one: int, other: int) -> NDArray[np.float32]:

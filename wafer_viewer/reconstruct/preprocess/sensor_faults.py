@@ -125,16 +125,16 @@ def _complete_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:
     """Return a mask of pixels that stand out in all frames, up or down, along the row or the column."""
-    first, last = images[slots[0]], images[slots[-1]]
+    first = images[slots[0]]
     least = _least_difference(first, white_counts)
     flawed = np.zeros(first.shape, bool)
     if min(first.shape) <= 2 * FLAW.reach_px or least > white_counts // 2:
         return flawed
     for brighter in (True, False):
         for axis in (0, 1):
-            suspect = _stands_out(first, axis, brighter, least) & _stands_out(last, axis, brighter, least)
+            suspect = _stands_out(first, axis, brighter, least)
             at = np.stack(np.divmod(np.flatnonzero(suspect), suspect.shape[1]), axis=1)
-            for slot in slots[1:-1]:
+            for slot in slots[:0:-1]:
                 at = at[_stand_out_at(images[slot], at, axis, brighter, least)]
             flawed[tuple(at.T)] = True
     return flawed

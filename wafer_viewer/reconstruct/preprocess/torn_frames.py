@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,18 +74,31 @@ class TearParameters:
 TEAR = TearParameters()
 
 
+class SampledBands(NamedTuple):
+    """Sample of each band of rows of a frame, [band, row, col], with its mean, [band, 1, 1], and a print of its bytes.
+
+    Empty where the frame is smaller than the bands.
+    """
+
+    grey: Greys
+    level: Floats
+    prints: tuple[int, ...]
+
+
 Change = Callable[[int, int], Floats]
 """Function that returns the `relative_change` between the frames in two slots."""
 
 
-def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: int, change: Change) -> dict[int, str]:
+def torn_frames(
+    bands: Sequence[SampledBands], slots: NDArray[np.intp], white_counts: int, change: Change
+) -> dict[int, str]:
     """Return what is wrong with each torn frame among `slots`, in the order of z; none where there are many.
 
     bands: from `sampled_bands` of these frames.
     """
-    if len(slots) < LEAST_FRAMES or not bands[0].size:
+    if len(slots) < LEAST_FRAMES or not bands[0].grey.size:
         return {}
-    torn = _torn(np.stack(bands), slots, white_counts, change)
+    torn = _torn(bands, slots, white_counts, change)
     if len(torn) > TEAR.most_torn * len(slots):
         return {}
     return {
@@ -93,12 +107,14 @@ def torn_frames(bands: Sequence[Greys], slots: NDArray[np.intp], white_counts: i
     }
 
 
-def _torn(raw: Greys, slots: NDArray[np.intp], white_counts: int, change: Change) -> list[tuple[int, float]]:
-    """Return the index along z and the torn fraction of each torn frame; raw: sampled bands, [k, band, row, col]."""
-    level = np.stack([frame.astype(np.float32).mean(axis=(1, 2), keepdims=True) for frame in raw])
-    bands = _Bands(raw, level, level.mean() / np.maximum(level, 1.0))
-    found = _stale(bands)
-    others = np.delete(np.arange(len(raw)), list(found))
+def _torn(
+    sampled: Sequence[SampledBands], slots: NDArray[np.intp], white_counts: int, change: Change
+) -> list[tuple[int, float]]:
+    """Return the index along z and the torn fraction of each torn frame."""
+    level = np.stack([frame.level for frame in sampled])
+    bands = _Bands([frame.grey for frame in sampled], level, level.mean() / np.maximum(level, 1.0))
+    found = _stale(bands, [frame.prints for frame in sampled])
+    others = np.delete(np.arange(len(sampled)), list(found))
     if len(others) >= LEAST_FRAMES:
         lit = level[others].mean(axis=(1, 2, 3)) >= TEAR.dark * level.mean()
         unlike = _unlike(bands.of_frames(others), lit, slots[others].tolist(), white_counts, change)
@@ -110,7 +126,7 @@ def _torn(raw: Greys, slots: NDArray[np.intp], white_counts: int, change: Change
 class _Bands:
     """Samples of the bands of all frames, [k][band, row, col], brought to one mean: flicker is no tear."""
 
-    raw: Greys
+    raw: Sequence[Greys]
     level: Floats
     factor: Floats
 
@@ -122,18 +138,20 @@ class _Bands:
 
     def of_band(self, band: int) -> Floats:
         """Return one band of all frames, [k, row, col]."""
-        return (self.raw[:, band].astype(np.float32) - self.level[:, band]) * self.factor[:, band]
+        raw = np.stack([frame[band] for frame in self.raw])
+        return (raw.astype(np.float32) - self.level[:, band]) * self.factor[:, band]
 
     def of_frames(self, frames: NDArray[np.intp]) -> _Bands:
         """Return the bands of some frames."""
-        return self if len(frames) == len(self) else _Bands(self.raw[frames], self.level[frames], self.factor[frames])
+        raw = [self.raw[k] for k in frames]
+        return self if len(frames) == len(self) else _Bands(raw, self.level[frames], self.factor[frames])
 
 
 def _unlike(
     bands: _Bands, lit: NDArray[np.bool_], slots: list[int], white_counts: int, change: Change
 ) -> dict[int, float]:
     """Return the torn fraction of frames of which some bands alone differ from the frames beside them."""
-    n_bands, scale = bands.raw.shape[1], bands.level.mean() ** 2
+    n_bands, scale = bands.level.shape[1], bands.level.mean() ** 2
     off = scale * np.stack([change(*pair) for pair in pairwise(slots)])
     across = scale * np.stack([change(*pair) for pair in zip(slots, slots[2:], strict=False)])
     own = np.minimum(off[1:], off[:-1])
@@ -150,19 +168,19 @@ def _unlike(
     return found
 
 
-def _stale(bands: _Bands) -> dict[int, float]:
+def _stale(bands: _Bands, prints: Sequence[tuple[int, ...]]) -> dict[int, float]:
     """Return the torn fraction of frames that share some bands, to the last count, with another frame.
 
     Noise makes that impossible, so a stack without noise is not tested. Of the two frames the one is stale to which the
     bands fit worse.
     """
     shared: dict[tuple[int, int], list[int]] = {}
-    n_bands = bands.raw.shape[1]
+    n_bands = bands.level.shape[1]
     for b in range(n_bands):
-        seen: dict[bytes, int] = {}
-        for k, band in enumerate(bands.raw[:, b]):
-            first = seen.setdefault(band.tobytes(), k)
-            if first != k and band.std() > 1:
+        seen: dict[int, int] = {}
+        for k, band in enumerate(frame[b] for frame in bands.raw):
+            first = seen.setdefault(prints[k][b], k)
+            if first != k and np.array_equal(band, bands.raw[first][b]) and band.std() > 1:
                 shared.setdefault((first, k), []).append(b)
     if len(shared) > TEAR.most_stale or any(len(alike) == n_bands for alike in shared.values()):
         return {}
@@ -200,24 +218,25 @@ def _mean_square(one: Floats, other: Floats) -> Floats:
     return np.mean((one - other) ** 2, axis=(-2, -1))
 
 
-def relative_change(one: Greys, other: Greys) -> Floats:
+def relative_change(one: SampledBands, other: SampledBands) -> Floats:
     """Return the mean square difference between sampled bands of two frames, each relative to its mean, [band]."""
     return _mean_square(_relative(one), _relative(other))
 
 
-def _relative(bands: Greys) -> Floats:
-    grey = bands.astype(np.float32)
-    level = grey.mean(axis=(1, 2), keepdims=True)
-    return (grey - level) / np.maximum(level, np.float32(1))
+def _relative(bands: SampledBands) -> Floats:
+    off = bands.grey.astype(np.float32) - bands.level
+    return np.asarray(off / np.maximum(bands.level, np.float32(1)), np.float32)
 
 
-def sampled_bands(frame: Image) -> Greys:
-    """Return a sample of each band of rows of a frame, [band, row, col]; empty where it is smaller than the bands."""
+def sampled_bands(frame: Image) -> SampledBands:
+    """Return a sample of each band of rows of a frame."""
     n_bands = TEAR.bands
     if min(frame.shape) < n_bands:
-        return np.empty((n_bands, 0, 0), np.uint8)
+        return SampledBands(np.empty((n_bands, 0, 0), np.uint8), np.empty((n_bands, 1, 1), np.float32), ())
     high = len(frame) // n_bands
     n_rows = min(high, TEAR.sampled[0])
     rows = (np.arange(n_bands)[:, None] * high + np.linspace(0, high - 1, n_rows).astype(int)).ravel()
     every = -(-frame.shape[1] // TEAR.sampled[1])
-    return frame[rows, ::every].reshape(n_bands, n_rows, -1)
+    grey = np.ascontiguousarray(frame[rows, ::every]).reshape(n_bands, n_rows, -1)
+    level = grey.astype(np.float32).mean(axis=(1, 2), keepdims=True)
+    return SampledBands(grey, level, tuple(hash(band.tobytes()) for band in grey))
