@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import os
 import sys
 import zlib
@@ -189,7 +190,7 @@ CACHE_LINE_BYTES = 64
 def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
     """Return zeros aligned to a cache line, because vectors that straddle two lines cost twice."""
     dtype = np.dtype(dtype)
-    n_bytes = dtype.itemsize * int(np.prod(shape))
+    n_bytes = dtype.itemsize * math.prod(shape)
     room = np.zeros(n_bytes + CACHE_LINE_BYTES, np.uint8)
-    start = -room.ctypes.data % CACHE_LINE_BYTES
+    start = -room.__array_interface__["data"][0] % CACHE_LINE_BYTES
     return room[start : start + n_bytes].view(dtype).reshape(shape)

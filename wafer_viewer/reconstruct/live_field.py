@@ -23,7 +23,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, stripes
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
-from wafer_viewer.reconstruct.preprocess.drift import measure_displacements
+from wafer_viewer.reconstruct.preprocess.drift import measure_displacements, measure_sharpness
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
 from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 
@@ -98,6 +98,8 @@ class LiveField:
             self._add_silhouettes(rows, source, first)
         for slot in slots.tolist():
             self._samples.take(slot, self._images[slot])
+            if self._recipe.drift != "none":
+                measure_sharpness(self._images[slot], slot, self._samples.motions)
         before = int(self._came.sum())
         self._came[first:stop] = True
         if before < AHEAD_SHARE * len(self._came) <= self._came.sum():
@@ -140,8 +142,9 @@ class LiveField:
 
     def _found(self, field: PreparedField) -> Peaks:
         slots, z_um, search = np.arange(len(self._images)), field.frames.z_um, field.tuned.search
+        window = search.centring(z_um)
         for rows, curves in self._stripes:
-            find_peaks(self._source(rows, slots), z_um, search, curves, self._spots, self._peaks.rows(rows))
+            find_peaks(self._source(rows, slots), z_um, search, curves, self._spots, self._peaks.rows(rows), window)
         return self._peaks
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:

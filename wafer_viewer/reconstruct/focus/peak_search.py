@@ -204,10 +204,11 @@ def find_peaks(
     curves: FocusCurves,
     spots: InterpolationScratch,
     out: Peaks,
+    window: CentringWindow | None = None,
 ) -> None:
-    """Compute the peaks of measured frames and store them in `out`."""
-    noise = search.noise(out.all_in_focus.dtype)
-    describe(curves, source, z_um, search.placing, search.centring(z_um), noise, spots, out.scores)
+    """Compute the peaks of measured frames and store them in `out`; window: that of the search, if it is made."""
+    noise, window = search.noise(out.all_in_focus.dtype), window or search.centring(z_um)
+    describe(curves, source, z_um, search.placing, window, noise, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 
@@ -310,8 +311,8 @@ def coarse_step(step_um: float, depth_of_field_um: float, focus_width_um: float)
     return ()
 
 
-_WIDE_ROWS = 8
-"""Rows of coarse levels that are averaged together; their focus volume fits the L2 cache of most processors."""
+_WIDE_ROWS = 32
+"""Rows of coarse levels that are averaged together; their focus volume fits the L3 cache of most processors."""
 
 
 def wide_cells(window: int) -> int:
@@ -334,13 +335,13 @@ def wide_heights(
     cells, z_um = cells or wide_cells(search.window), np.asarray(z_um, np.float64)
     wide = replace(search, floored=False)
     spots = InterpolationScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
-    line = aligned((cols + cells - 1,), np.int32)
+    line, window = aligned((cols + cells - 1,), np.int32), search.centring(z_um)
     found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
     room = FocusCurves.make(n_frames, (min(n_rows, _WIDE_ROWS), cols))
     for rows in row_parts(n_rows, _WIDE_ROWS):
         part, curves = found.rows(rows), room.cut(rows.stop - rows.start)
         _average_levels(peaks.coarse, cells, rows.start, line, curves)
-        find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part)
+        find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part, window)
     return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)
 
 
