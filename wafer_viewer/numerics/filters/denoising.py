@@ -31,7 +31,7 @@ def line_outliers(padded: Float32s, limit: Real, near: Bools | None = None) -> B
     shape = padded.shape[0] - 2 * LINE_REACH_PX, padded.shape[1] - 2 * LINE_REACH_PX
     far = np.zeros(shape, np.bool_)
     tested = np.ones((shape[0], _batches(shape[1])), np.bool_) if near is None else near
-    _mark_far(padded, np.float32(limit), tested, np.zeros((3, _BATCH_PX), np.int32), far)
+    _mark_far(padded, np.float32(limit), tested, np.zeros((4, _BATCH_PX), np.int32), far)
     return far
 
 
@@ -70,9 +70,11 @@ def _mark_far(padded: Float32s, limit: Real, tested: Bools, counts: Int32s, far:
     """Mark pixels by counting, without sorting: most of each line is out of reach on one side.
 
     Comparisons with NaN are false, so unmeasured pixels do not count. A batch without a pixel that is far along all
-    lines so far is done.
+    lines so far is done. The nearest pixels of a line are counted first: where most of it is within reach, the rest
+    changes nothing.
     """
-    above, below, lines = counts[0], counts[1], counts[2]
+    above, below, lines, within = counts[0], counts[1], counts[2], counts[3]
+    most_of_line = np.int32(LINE_REACH_PX + 1)
     for r in range(far.shape[0]):
         for batch in range(tested.shape[1]):
             if not tested[r, batch]:
@@ -85,12 +87,24 @@ def _mark_far(padded: Float32s, limit: Real, tested: Bools, counts: Int32s, far:
                 down, right = (0, 1) if line == 0 else (1, line - 2)
                 above[:] = 0
                 below[:] = 0
-                for s in range(-LINE_REACH_PX, LINE_REACH_PX + 1):
+                within[:] = 0
+                least = np.int32(0)
+                for turn in range(2 * LINE_REACH_PX + 1):
+                    s = (turn + 1) // 2 * (1 - 2 * (turn % 2))
                     other = padded[r + LINE_REACH_PX + s * down, LINE_REACH_PX + first + s * right :]
                     for x in range(n):
                         v, low, high = other[x], centre_line[x] - limit, centre_line[x] + limit
                         above[x] += np.int32(v > high) - np.int32(v <= high)
                         below[x] += np.int32(v < low) - np.int32(v >= low)
+                        within[x] += np.int32((v >= low) & (v <= high))
+                    if turn >= LINE_REACH_PX:
+                        least = most_of_line
+                        for x in range(n):
+                            least = min(least, within[x] if centre_line[x] == centre_line[x] else most_of_line)
+                        if least >= most_of_line:
+                            break
+                if least >= most_of_line:
+                    break
                 most = np.int32(0)
                 for x in range(n):
                     lines[x] += np.int32((above[x] > 0) | (below[x] > 0))
@@ -213,26 +227,34 @@ _STRIDE_PX = 2
 
 def pair_mean(z: Float32s, limit: Real) -> Float32s:
     """Average each pixel with the pairs within 4 pixels whose mean differs by at most `limit`; NaN stays NaN."""
+    z = np.ascontiguousarray(z)
     out = np.empty_like(z)
-    padded = np.pad(z, PAIR_REACH_PX, constant_values=np.nan)
-    _average(padded, np.float32(limit), out)
+    lines = np.full((2 * PAIR_REACH_PX + 1, z.shape[1] + 2 * PAIR_REACH_PX), np.nan, np.float32)
+    _average(z, np.float32(limit), lines, out)
     return out
 
 
 @lean_kernel
-def _average(padded: Float32s, limit: Real, out: Float32s) -> None:
+def _average(z_um: Float32s, limit: Real, lines: Float32s, out: Float32s) -> None:
     """Average with the pixel itself at half weight, because the mean of a pair has half the variance of a pixel.
 
-    All pairs of a pixel are taken together, so that their sums stay in registers.
+    All pairs of a pixel are taken together, so that their sums stay in registers. lines: the rows around one, with a
+    border of NaN.
     """
     reach, half, zero = PAIR_REACH_PX, np.float32(0.5), np.float32(0)
-    for r in range(out.shape[0]):
-        middle = padded[r + reach]
-        above_2, above, below, below_2 = (
-            padded[r],
-            padded[r + reach // 2],
-            padded[r + 3 * reach // 2],
-            padded[r + 2 * reach],
+    n_lines, n_rows = lines.shape[0], out.shape[0]
+    for r in range(-reach, n_rows):
+        line = lines[(r + 2 * reach) % n_lines, reach : reach + out.shape[1]]
+        for x in range(out.shape[1]):
+            line[x] = z_um[r + reach, x] if r + reach < n_rows else np.float32(np.nan)
+        if r < 0:
+            continue
+        above_2, above, middle, below, below_2 = (
+            lines[r % n_lines],
+            lines[(r + reach // 2) % n_lines],
+            lines[(r + reach) % n_lines],
+            lines[(r + 3 * reach // 2) % n_lines],
+            lines[(r + 2 * reach) % n_lines],
         )
         for x in range(out.shape[1]):
             z, total, count = middle[x + reach], zero, half

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, lean_kernel
+from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, inlined_part, lean_kernel
 
 Floats = NDArray[np.float64]
 TOO_FEW = 1e-10
@@ -92,20 +92,23 @@ def _fill(z: Float32s, max_gap: Int, max_step: Real, scratch: Float64s) -> None:
     """Fill run by run: from its first measured pixel to the last one before a step or a long gap."""
     knots, bend, factor = scratch[0], scratch[1], scratch[2]
     for r in range(z.shape[0]):
-        row, count = z[r], np.int64(0)
-        for x in range(row.size + 1):
-            ends = x == row.size
-            if not ends and row[x] == row[x]:
-                if count > 0:
-                    last = int(knots[count - 1])
-                    ends = x - last - 1 > max_gap or abs(row[x] - row[last]) > max_step
-            elif not ends:
-                continue
-            if ends and count > 1 and knots[count - 1] - knots[0] > count - 1:
-                _spline(row, knots, count, bend, factor)
-            count = np.int64(0) if ends else count
-            knots[count] = x
-            count += 1
+        row, count, last, before = z[r], np.int64(0), np.int64(0), np.float32(0)
+        for x in range(row.size):
+            here = row[x]
+            if here == here:
+                if count > 0 and (x - last - 1 > max_gap or abs(here - before) > max_step):
+                    _fill_run(row, knots, count, bend, factor)
+                    count = np.int64(0)
+                knots[count], last, before = x, x, here
+                count += 1
+        _fill_run(row, knots, count, bend, factor)
+
+
+@inlined_part
+def _fill_run(row: Float32s, knots: Float64s, count: Int, bend: Float64s, factor: Float64s) -> None:
+    """Fill a run of which `count` pixels are measured, if it has gaps."""
+    if count > 1 and knots[count - 1] - knots[0] > count - 1:
+        _spline(row, knots, count, bend, factor)
 
 
 @lean_kernel

@@ -32,6 +32,7 @@ from wafer_viewer.numerics.filters.denoising import (
     pair_mean,
 )
 from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
+from wafer_viewer.numerics.jit import Float32s, Real, lean_kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 NOISE_LAG_PX = 15
@@ -211,19 +212,50 @@ def _with_curvature(reference: Map, rounds: Sequence[Map], limit_um: float) -> M
     limit = (CURVATURE.significance * MAD_TO_SIGMA * float(np.median(random[valid]))) ** 2
     share: Map | None = None
     for _ in range(CURVATURE.passes):
-        removed = reference - smoothed
-        removed[np.abs(removed) > len(rounds) * limit_um] = np.nan  # no round of averages moves more
+        removed = np.empty(smoothed.shape, np.float32)
+        _subtract(reference, smoothed, np.float32(len(rounds) * limit_um), removed)
         for _ in rounds:
             removed = pair_mean(removed, limit_um)
-        removed[np.isnan(removed)] = 0
         if share is None:
-            energy = mean_of_valid(removed**2, valid, CURVATURE.window_px)
-            excess = energy / np.float32(max(limit, _LEAST_ENERGY_UM2)) - np.float32(1)
-            share = np.clip(excess, np.float32(0), np.float32(1))
-            if not share.any():
-                return smoothed
-        smoothed = np.asarray(smoothed + share * removed, np.float32)
+            squares = np.empty(removed.shape, np.float32)
+            _square(removed, squares)
+            share = mean_of_valid(squares, valid, CURVATURE.window_px)
+            share /= np.float32(max(limit, _LEAST_ENERGY_UM2))
+            share -= np.float32(1)
+            np.clip(share, np.float32(0), np.float32(1), out=share)
+        restored = np.empty(removed.shape, np.float32)
+        _restore(smoothed, share, removed, restored)
+        smoothed = restored
+        if not share.any():
+            break
     return smoothed
+
+
+@lean_kernel
+def _square(removed: Float32s, squares: Float32s) -> None:
+    """Write the squares of what was removed, 0 where it is not known."""
+    for r in range(removed.shape[0]):
+        for x in range(removed.shape[1]):
+            move = removed[r, x]
+            squares[r, x] = move * move if move == move else np.float32(0)
+
+
+@lean_kernel
+def _restore(smoothed: Float32s, share: Float32s, removed: Float32s, restored: Float32s) -> None:
+    """Add a share of what was removed, where it is known."""
+    for r in range(removed.shape[0]):
+        for x in range(removed.shape[1]):
+            move = removed[r, x]
+            restored[r, x] = smoothed[r, x] + share[r, x] * (move if move == move else np.float32(0))
+
+
+@lean_kernel
+def _subtract(reference: Float32s, smoothed: Float32s, most: Real, removed: Float32s) -> None:
+    """Write what was removed, NaN where it is more than all rounds of averages move."""
+    for r in range(removed.shape[0]):
+        for x in range(removed.shape[1]):
+            move = reference[r, x] - smoothed[r, x]
+            removed[r, x] = np.float32(np.nan) if abs(move) > most else move
 
 
 _LEAST_ENERGY_UM2 = 1e-12
@@ -249,7 +281,7 @@ def _without_spikes(z_um: Map, limit_um: float) -> Map:
         if not rows.size:
             break
         near = beside_lines(rows, cols, z_um.shape)
-    return inner
+    return np.ascontiguousarray(inner)
 
 
 SMOOTHERS: dict[str, Rounds] = {
