@@ -225,8 +225,9 @@ def membrane(values: Floats) -> Floats:
         return values
     if min(values.shape) == 1:
         return np.where(known, values, np.nanmean(values) if known.any() else np.float32(0))
-    found = np.where(known, values, _finer(membrane(_halved(values, known)), values.shape))
+    found, coarse = values.copy(), membrane(_halved(values))
     rows = np.empty((2, found.shape[1]), np.float32)
+    _fill_finer(coarse, known, rows[0], found)
     for _ in range(PICTURE.relaxations):
         _relax(found, known, rows)
     return found
@@ -255,22 +256,42 @@ def _relax(found: Float32s, known: Bools, rows: Float32s) -> None:
                 found[r, x] = quarter * (both + row[max(x - 1, 0)] + row[min(x + 1, last)])
 
 
-def _halved(values: Floats, known: NDArray[np.bool_]) -> Floats:
+def _halved(values: Floats) -> Floats:
     """Return the means of 2 x 2 values, NaN where all four are unknown."""
-    odd = [(0, n % 2) for n in values.shape]
-    total = np.pad(np.where(known, values, np.float32(0)), odd)
-    weight = np.pad(known.astype(np.float32), odd)
-    total, weight = (a[::2, ::2] + a[1::2, ::2] + a[::2, 1::2] + a[1::2, 1::2] for a in (total, weight))
-    return np.divide(total, weight, out=np.full(total.shape, np.nan, np.float32), where=weight > 0)
+    out = np.empty((-(-values.shape[0] // 2), -(-values.shape[1] // 2)), np.float32)
+    _write_means(np.ascontiguousarray(values), out)
+    return out
 
 
-def _finer(values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return values at twice the resolution, interpolated linearly between cell centres."""
-    for axis in (0, 1):
-        turned = np.moveaxis(values, axis, 0)
-        padded = np.concatenate([turned[:1], turned, turned[-1:]])
-        fine = np.empty((2 * len(turned), turned.shape[1]), np.float32)
-        fine[::2] = np.float32(0.75) * turned + np.float32(0.25) * padded[:-2]
-        fine[1::2] = np.float32(0.75) * turned + np.float32(0.25) * padded[2:]
-        values = np.moveaxis(fine[: shape[axis]], 0, axis)
-    return values
+@lean_kernel
+def _write_means(values: Float32s, out: Float32s) -> None:
+    n_rows, n_cols = values.shape
+    for r in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            total, weight = np.float32(0), np.float32(0)
+            for right in range(2):
+                for down in range(2):
+                    if 2 * r + down < n_rows and 2 * x + right < n_cols:
+                        v = values[2 * r + down, 2 * x + right]
+                        total += v if abs(v) < np.inf else np.float32(0)
+                        weight += np.float32(abs(v) < np.inf)
+            out[r, x] = total / weight if weight > 0 else np.float32(np.nan)
+
+
+@lean_kernel
+def _fill_finer(coarse: Float32s, known: Bools, line: Float32s, found: Float32s) -> None:
+    """Fill unknown values from those at half the resolution, interpolated linearly between cell centres, rows first.
+
+    line: a row of work space.
+    """
+    near, far = np.float32(0.75), np.float32(0.25)
+    last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
+    for r in range(found.shape[0]):
+        i = r // 2
+        beside = min(max(i + 2 * (r % 2) - 1, 0), last_row)
+        for j in range(coarse.shape[1]):
+            line[j] = near * coarse[i, j] + far * coarse[beside, j]
+        for x in range(found.shape[1]):
+            if not known[r, x]:
+                j = x // 2
+                found[r, x] = near * line[j] + far * line[min(max(j + 2 * (x % 2) - 1, 0), last_col)]
