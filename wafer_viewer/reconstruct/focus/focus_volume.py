@@ -20,7 +20,7 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.intrinsics import prefetch
 from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int64s, UInt16s, inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
+from wafer_viewer.reconstruct.preprocess.frames import Frames, as_slice, read_block
 
 COARSE_PX = 4
 """The coarse focus volume has one level for 4 x 4 pixels."""
@@ -231,7 +231,7 @@ def source_of_rows(frames: Frames, rows: slice, margin: int) -> StackSource:
 def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
     """Read a range of frames of a part of a field, with a margin; beyond the field its border repeats."""
     independent = frames.drift is None  # the drift of a frame is indexed by its place among all frames
-    chosen = dataclasses.replace(frames, index=frames.slots[some]) if independent else frames
+    chosen = dataclasses.replace(frames, index=as_slice(frames.slots[some])) if independent else frames
     n_frames = some.stop - some.start if independent else frames.n_frames
     block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
     read_block(chosen, rows, cols, margin, block)

@@ -45,8 +45,10 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
     Wall,
     noise_fall,
     peaks_near,
+    spread_wall,
     tangential_levels,
     tangential_margin_px,
+    vectors_px,
 )
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, silhouette_of
@@ -228,12 +230,16 @@ def judge_edges(
 
 def warm_up(frames: Frames, window: int) -> None:
     """Compile the kernels, or load the cached compilation, on a few small frames."""
-    silhouette_of(frames, threads=1)
+    silhouette = silhouette_of(frames, threads=1)
     half = tuple(-(-n // 2) for n in frames.shape)
     inside = np.ones(half, np.bool_)
     band = Band(inside, np.zeros(half, np.uint16), np.ones(half, np.float32), BAND_REACH_PX, inside)
-    classify_sides(_outline_grey(frames, band, threads=1), band, dark_counts=1.0)
+    sides = classify_sides(_outline_grey(frames, band, threads=1), band, dark_counts=1.0)
     shape = frames.shape
+    z_um, passed = np.zeros(shape, np.float32), np.ones(shape, np.bool_)
+    surroundings(silhouette, 0.0, z_um, passed, 1.0, BAND_REACH_PX)
+    side_heights_um(z_um, passed, np.zeros(shape, frames.dtype), band, sides, 1.0, 1.0)
+    blurred(z_um, 1.0)
     expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
     how = EdgeSearch("rims", window, 1, 1.0, CameraNoise(0.5, 80.0), 1.0)
     _search_along(frames, how, Near(window, 1, 1), expected, wall, np.empty(shape, np.float32), expected.copy(), 1)
@@ -276,8 +282,8 @@ def _search_along(
             np.ascontiguousarray(expected[at]),
             at,
         )  # a separate specialisation would be compiled for views
-        first = max(0, int(np.nanmin(part)) - near.frames)
-        stop = min(frames.n_frames, int(np.nanmax(part)) + 2 + near.frames)
+        first = max(0, int(np.fmin.reduce(part, axis=None)) - near.frames)
+        stop = min(frames.n_frames, int(np.fmax.reduce(part, axis=None)) + 2 + near.frames)
         tile = Tile.make(stop - first, part.shape, how.window)
         block = read_part(frames, slice(first, stop), rows, cols, margin)
         tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
@@ -291,23 +297,22 @@ def _search_along(
 
 def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
     """Return the wall directions at full resolution for a tile and a margin around it."""
-    limits = wall.xx.shape
-    at = [
-        np.clip(np.arange(part.start - margin, part.stop + margin) // 2, 0, n - 1)
-        for part, n in zip((rows, cols), limits, strict=True)
-    ]
-    return Wall(*(plane.take(at[0], axis=0).take(at[1], axis=1) for plane in wall))
+    shape = rows.stop - rows.start + 2 * margin, vectors_px(cols.stop - cols.start + 2 * margin)
+    around = Wall(*(np.empty(shape, np.float32) for _ in wall))
+    spread_wall(wall, rows.start - margin, cols.start - margin, around)
+    return around
 
 
 def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
     """Yield the tightest tiles around the wanted pixels of a grid of squares."""
     n_rows, n_cols = wanted.shape
     for top in range(0, n_rows, _TILE_PX):
-        for left in range(0, n_cols, _TILE_PX):
-            tile = wanted[top : top + _TILE_PX, left : left + _TILE_PX]
+        band = wanted[top : top + _TILE_PX]
+        lefts = np.flatnonzero(np.logical_or.reduceat(band.any(axis=0), range(0, n_cols, _TILE_PX))) * _TILE_PX
+        for left in lefts.tolist():
+            tile = band[:, left : left + _TILE_PX]
             rows, cols = np.flatnonzero(tile.any(axis=1)), np.flatnonzero(tile.any(axis=0))
-            if rows.size:
-                yield slice(top + rows[0], top + rows[-1] + 1), slice(left + cols[0], left + cols[-1] + 1)
+            yield slice(top + rows[0], top + rows[-1] + 1), slice(left + cols[0], left + cols[-1] + 1)
 
 
 def _outline_grey(frames: Frames, band: Band, threads: int | None) -> NDArray[np.float32]:

@@ -37,7 +37,9 @@ from wafer_viewer.numerics.filters.sliding_filters import (
 from wafer_viewer.numerics.jit import (
     Bools,
     Float32s,
+    Greys,
     Int,
+    Int64s,
     UInt8s,
     UInt16s,
     lean_kernel,
@@ -540,25 +542,52 @@ def _ranges(heights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
-    rows, cols = (COARSE_PX * n for n in shape)
-    padded = np.pad(image, ((0, rows - image.shape[0]), (0, cols - image.shape[1])), mode="edge")
-    return padded.reshape(shape[0], COARSE_PX, shape[1], COARSE_PX).mean(axis=(1, 3), dtype=np.float32)
+    """Return the means of cells of an image, whose border pixels repeat."""
+    means = np.empty(shape, np.float32)
+    _average_cells(np.ascontiguousarray(image), means)
+    return means
+
+
+@lean_kernel
+def _average_cells(image: Greys, means: Float32s) -> None:
+    last_row, last_col = image.shape[0] - 1, image.shape[1] - 1
+    for i in range(means.shape[0]):
+        for j in range(means.shape[1]):
+            total = np.int64(0)
+            for r in range(COARSE_PX * i, COARSE_PX * (i + 1)):
+                for c in range(COARSE_PX * j, COARSE_PX * (j + 1)):
+                    total += np.int64(image[min(r, last_row), min(c, last_col)])
+            means[i, j] = total / COARSE_PX**2
 
 
 def _cell_medians(z_um: NDArray[np.float32], passed: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return the median height of the accepted pixels of each cell; NaN where they are few or the cell is far."""
-    values = _pixels_of_cells(np.where(passed, z_um, np.float32(np.inf)), near, np.float32(np.inf))
+    n_cells = int(np.count_nonzero(near))
+    values, count = np.empty((n_cells, COARSE_PX**2), np.float32), np.empty(n_cells, np.int64)
+    _take_cells(z_um, passed, near, values, count)
     values.sort(axis=1)
-    count = np.count_nonzero(values < np.inf, axis=1)
-    middle = values[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+    middle = values[np.arange(n_cells), np.maximum(count - 1, 0) // 2]
     out = np.full(near.shape, np.nan, np.float32)
     out[near] = np.where(count >= ANCHOR.enough_pixels, middle, np.float32(np.nan))
     return out
 
 
-def _pixels_of_cells(plane: NDArray[np.float32], cells: NDArray[np.bool_], beyond: np.float32) -> NDArray[np.float32]:
-    """Return the 16 pixels of each selected cell."""
-    rows, cols = (COARSE_PX * n for n in cells.shape)
-    padded = np.pad(plane, ((0, rows - plane.shape[0]), (0, cols - plane.shape[1])), constant_values=beyond)
-    blocks = padded.reshape(cells.shape[0], COARSE_PX, cells.shape[1], COARSE_PX)
-    return blocks.transpose(0, 2, 1, 3)[cells].reshape(-1, COARSE_PX * COARSE_PX)
+@lean_kernel
+def _take_cells(z_um: Float32s, passed: Bools, near: Bools, values: Float32s, count: Int64s) -> None:
+    """Take the accepted pixels of the cells that are near, one cell a row, and inf for the others; count: accepted."""
+    n_rows, n_cols = z_um.shape
+    n, far = 0, np.float32(np.inf)
+    for i in range(near.shape[0]):
+        for j in range(near.shape[1]):
+            if not near[i, j]:
+                continue
+            m, accepted = 0, 0
+            for r in range(COARSE_PX * i, COARSE_PX * (i + 1)):
+                for c in range(COARSE_PX * j, COARSE_PX * (j + 1)):
+                    inside = (r < n_rows) & (c < n_cols)
+                    z = z_um[r, c] if inside and passed[r, c] else far
+                    values[n, m] = z
+                    m += 1
+                    accepted += np.int64(z < far)
+            count[n] = accepted
+            n += 1

@@ -37,6 +37,9 @@ from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 NOISE_ENERGY = 0.0239
 """E[L^2] on white noise of unit variance, averaged over all directions; it varies by a seventh with direction."""
 
+LANES = 16
+"""Rows are processed in full vectors of so many pixels, and are as much longer, because loops read ahead."""
+
 _TAPS_PX = 4
 """The binomial reaches two pixels, the Hessian and the mean of the energy one each."""
 _NOISE_SIDE_PX = 320
@@ -75,10 +78,10 @@ class Tile(NamedTuple):
     def make(cls, n_frames: int, shape: tuple[int, int], window: int) -> Tile:
         """Allocate a tile of `n_frames` frames."""
         margin = tangential_margin_px(window)
-        rows, cols = shape[0] + 2 * margin, shape[1] + 2 * margin
+        rows, cols = shape[0] + 2 * margin, vectors_px(shape[1] + 2 * margin) + max(LANES, window)
         smooth, second, energy, logs = (aligned((rows, cols), np.float32) for _ in range(4))
         stable, lines = aligned((cols,), np.float32), aligned((4, cols), np.float32)
-        return cls(stable, smooth, second, energy, logs, lines, aligned((n_frames, *shape), np.float32))
+        return cls(stable, smooth, second, energy, logs, lines, np.empty((n_frames, *shape), np.float32))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,16 +101,33 @@ class Near:
         return self.reach + max(self.gap, 3)
 
 
+def vectors_px(cols: int) -> int:
+    """Return a number of pixels rounded up to full vectors."""
+    return -(-cols // LANES) * LANES
+
+
 def tangential_margin_px(window: int) -> int:
     """Return the margin of a block beyond its pixels."""
     return window - 1 + _TAPS_PX
 
 
 @lean_kernel
+def spread_wall(half: Wall, top: Int, left: Int, wall: Wall) -> None:
+    """Write the directions of a field, known at half resolution, to a part that begins at row `top`, column `left`."""
+    last_row, last_col = half.xx.shape[0] - 1, half.xx.shape[1] - 1
+    for y in range(wall.xx.shape[0]):
+        i = min(max((top + y) // 2, 0), last_row)
+        for x in range(wall.xx.shape[1]):
+            j = min(max((left + x) // 2, 0), last_col)
+            wall.xx[y, x], wall.xy[y, x], wall.yy[y, x] = half.xx[i, j], half.xy[i, j], half.yy[i, j]
+
+
+@lean_kernel
 def tangential_levels(block: Greys, window: Int, stabiliser: Stabiliser, wall: Wall, tile: Tile) -> None:
     """Compute the levels of a block [k, row, col], which extends `tangential_margin_px` beyond the tile.
 
-    wall: at the pixels of the block less three at each border, where the Hessian is defined.
+    wall: at the pixels of the block less three at each border, where the Hessian is defined, or in longer rows. Columns
+    beyond the block are undefined.
     """
     n_rows = block.shape[1]
     scale, offset = np.float32(stabiliser.scale), np.float32(stabiliser.offset)
@@ -126,16 +146,16 @@ def tangential_levels(block: Greys, window: Int, stabiliser: Stabiliser, wall: W
 
 @inlined_part
 def _stabilised(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
-    for x in range(stable.size):
+    for x in range(grey.size):
         stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
 
 
 @inlined_part
 def _binomial(values: Float32s, out: Float32s) -> None:
-    """Apply [1 4 6 4 1] / 16 along a row; the last four pixels are undefined."""
+    """Apply [1 4 6 4 1] / 16 along a row."""
     a, b, c, d = values[1:], values[2:], values[3:], values[4:]
     part = np.float32(1 / 16)
-    for x in range(values.size - 4):
+    for x in range(values.size - LANES):
         out[x] = part * (values[x] + d[x] + np.float32(4) * (a[x] + c[x]) + np.float32(6) * b[x])
 
 
@@ -161,7 +181,7 @@ def _energy_row(
         bend[x] = outer - two * b[x]
         slope[x] = c[x] - a[x]
     mean_1, mean_2, bend_1, bend_2, slope_2 = mean[1:], mean[2:], bend[1:], bend[2:], slope[2:]
-    for x in range(w_xx.size):
+    for x in range(min(w_xx.size, energy.size - LANES)):
         xx = mean[x] + mean_2[x] - two * mean_1[x]
         yy = quarter * (bend[x] + bend_2[x]) + half * bend_1[x]
         xy = quarter * (slope_2[x] - slope[x])
@@ -176,7 +196,7 @@ def _log_row(energy: Float32s, r: Int, columns: Float32s, out: Float32s) -> None
     for x in range(columns.size):
         columns[x] = a[x] + b[x] + c[x]
     one, two = columns[1:], columns[2:]
-    for x in range(columns.size - 8):
+    for x in range(out.size - LANES):
         out[x] = quick_log2(floor + part * (columns[x] + one[x] + two[x]))
 
 
@@ -208,10 +228,15 @@ def _slide(before: Float32s, held: Real, new: Float32s, old: Float32s, full: Rea
 
 @lean_part
 def _along(values: Float32s, window: Int, out: Float32s) -> None:
-    n = values.size - window + 1
+    """Sum `window` pixels along a row, four in a pass."""
+    n = values.size - max(window, LANES)
     for x in range(n):
         out[x] = values[x]
-    for j in range(1, window):
+    for j in range(1, window - 3, 4):
+        a, b, c, d = values[j:], values[j + 1 :], values[j + 2 :], values[j + 3 :]
+        for x in range(n):
+            out[x] = out[x] + a[x] + b[x] + c[x] + d[x]
+    for j in range(window - (window - 1) % 4, window):
         ahead = values[j:]
         for x in range(n):
             out[x] += ahead[x]

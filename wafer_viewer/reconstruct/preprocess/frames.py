@@ -176,7 +176,7 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe(), samples: FrameSamples 
     slots, faults = _sound_slots(stack, slots, white, of_exposures)
     optics = stack.pixel_um, stack.optical_depth_um
     z_um, notes = np.asarray(stack.z_um, np.float64)[slots], (*_missing(stack, len(present)), *faults)
-    frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
+    frames = Frames(stack.images, as_slice(slots), z_um, clipped, *optics, notes=notes)
     flickers = [
         measure_flicker([of_frames.cells(int(slot), one.images[slot]) for slot in slots], white)
         for one, of_frames in zip(stack.exposures, of_exposures, strict=True)
@@ -357,7 +357,7 @@ def _check(stack: FieldStack, z_um: NDArray[np.float64]) -> None:
         )
 
 
-def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+def as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
     """Convert evenly spaced indices to a slice, which reads a memory-mapped stack without a copy."""
     steps = np.unique(np.diff(index))
     if len(steps) != 1:
