@@ -262,10 +262,13 @@ def _refused_heights(corrected: CorrectedPeaks, origin: NDArray[np.uint8]) -> Re
     A peak that a gate refused has the height that was searched; one refused later has its corrected height. origin:
     before gaps are filled.
     """
-    z_um = np.where(corrected.origin == Origin.MEASURED, corrected.z_um, corrected.searched_um)
-    refused = (origin != Origin.MEASURED) & (origin != Origin.NOT_COVERED) & np.isfinite(z_um)
-    indices = np.flatnonzero(refused)
-    return RefusedHeights(indices.astype(np.uint32), z_um.ravel()[indices], origin.ravel()[indices].astype(np.uint8))
+    indices = np.flatnonzero(origin != Origin.MEASURED)
+    before, after, corrected_um, searched_um = (
+        layer.ravel()[indices] for layer in (corrected.origin, origin, corrected.z_um, corrected.searched_um)
+    )
+    z_um = np.where(before == Origin.MEASURED, corrected_um, searched_um)
+    refused = (after != Origin.NOT_COVERED) & np.isfinite(z_um)
+    return RefusedHeights(indices[refused].astype(np.uint32), z_um[refused], after[refused].astype(np.uint8))
 
 
 # ---------------------------------------------------------------------------------------------------------- height map
