@@ -9,6 +9,7 @@ overlaps at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,15 +117,22 @@ def normal_equations(network: PoseGraph, weight: Numbers) -> System:
     """
     (n, d, m), ties, precision = network.prior_shared.shape, network.ties, network.prior_sigma**-2.0
     expected = precision[:, None] * network.prior_shared
-    diagonal, coupling = np.tile(np.diag(precision), (n, 1, 1)), -expected
+    diagonal, coupling = np.tile(np.diag(precision), (n, 1, 1)), np.negative(expected, order="C")
     right_of_it, room = np.empty((len(weight), d, d)), np.zeros((4, d, max(d, m)))
-    among = _gram(network.prior_shared, expected) + np.diag(network.shared_sigma**-2.0)
-    at = network.at_first, network.at_second, network.at_shared
+    among = np.ascontiguousarray(_gram(network.prior_shared, expected) + np.diag(network.shared_sigma**-2.0))
     _sum_overlaps(
-        *(network.first, network.second, weight, network.information, *at),
+        *(_read_only(network.first), _read_only(network.second), _read_only(weight), _read_only(network.information)),
+        *(_read_only(network.at_first), _read_only(network.at_second), _read_only(network.at_shared)),
         *(diagonal, right_of_it, coupling, among, room),
     )
     return System(_matrix(ties, diagonal, right_of_it), flatten_blocks(coupling[ties.free]), among)
+
+
+def _read_only(part: NDArray[Any]) -> NDArray[Any]:
+    """Return contiguous memory that is not written: one type of array, so that one kernel is compiled for all."""
+    view = np.ascontiguousarray(part).view()
+    view.flags.writeable = False
+    return view
 
 
 @lean_kernel

@@ -256,12 +256,15 @@ def _tiny_surface(stack: FieldStack) -> HeightMap:
 
 
 def _tiny_stack(x_um: float) -> FieldStack:
-    """Return a few frames of a sample of noise, sharpest in the middle."""
+    """Return a few frames of a sample of noise, sharpest in the middle.
+
+    The second field is a pixel and a half off its place, so that its alignment takes several steps.
+    """
     import numpy as np
 
     noise = np.random.default_rng(1)
-    sample, first = noise.normal(0, 1, (64, 64 + round(_TINY_X_UM[-1]))), round(x_um)
-    seen = sample[:, first : first + 64]
+    sample, first = noise.normal(0, 1, (64, 66 + round(_TINY_X_UM[-1]))), round(x_um + (x_um > 0))
+    seen = (sample[:, first : first + 64] + sample[:, first + (x_um > 0) : first + 64 + (x_um > 0)]) / 2
     frames = (128 + (5 + 40 * np.exp(-((k - 3) ** 2))) * seen + noise.normal(0, 1, seen.shape) for k in range(8))
     images = np.stack([frame.clip(0, 255) for frame in frames])
     return FieldStack(
