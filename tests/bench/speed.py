@@ -10,13 +10,14 @@ times on two threads are by the clock.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import os
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -31,6 +32,7 @@ from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
 from tests.bench.tables import met, show
 from tests.support.installation import build_wheel, install_wheel, run, sharpest_in_the_middle
 from tests.support.paths import ROOT
+from wafer_viewer.compute.dask_cluster import SETTINGS
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.focus_measures import focus_measures
@@ -64,7 +66,7 @@ def main() -> None:
         stack = field_on_disk(file, 12 if quick else 126)
         show_measures(stack, runs=1 if quick else 7)
         show_field(stack, runs=1 if quick else 5)
-        show_live(stack)
+        show_live(file)
         show_memory(file)
     show_stitch(2 if quick else 4)
 
@@ -178,20 +180,41 @@ def show_field(stack: FieldStack, runs: int) -> None:
     show(f"The default recipe on a field of {stack.n_frames} frames", ("", "measured", "goal"), rows)
 
 
-def show_live(stack: FieldStack) -> None:
+def show_live(file: Path) -> None:
     """A field whose frames come a few at a time: what is left to do when the last of them is there."""
+    with in_a_worker() as worker:
+        a_frame_s, after_last = worker.submit(live_s, file).result()
+    rows = [
+        ("while frames come, ms a frame", 1e3 * a_frame_s, "16.7, the camera's"),
+        ("the map after the last frame, s", after_last, f"{LIVE_GOAL_S:g} {met(after_last, LIVE_GOAL_S)}"),
+    ]
+    show("A live field, settled recipe, 1 thread", ("", "measured", "goal"), rows)
+
+
+@contextlib.contextmanager
+def in_a_worker() -> Generator[ProcessPoolExecutor]:
+    """A process with the environment of a session's workers, which keep freed memory for the next map."""
+    own, given = dict(os.environ), SETTINGS["distributed.nanny.pre-spawn-environ"]
+    os.environ.update({name: str(value) for name, value in given.items()})
+    try:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as worker:
+            yield worker
+    finally:
+        os.environ.clear()
+        os.environ.update(own)
+
+
+def live_s(file: Path) -> tuple[float, float]:
+    """Processor time a frame while the frames of a field come, and from its last frames to its map."""
+    warm_up()
+    stack = mapped(file)
     recipe = tune_recipe(prepare(stack), Recipe()).recipe
     field, taking = LiveField(stack.images, stack.z_step_um, recipe), list[float]()
     for first in range(0, stack.n_frames, LIVE_FRAMES):
         stop = min(first + LIVE_FRAMES, stack.n_frames)
         taking.append(least(functools.partial(field.take, first, stop), 1)[1] / (stop - first))
-    finishing = least(lambda: field.surface(stack), 3)[1]
-    after_last = finishing + LIVE_FRAMES * taking[-1]
-    rows = [
-        ("while frames come, ms a frame", 1e3 * float(np.median(taking)), "16.7, the camera's"),
-        ("the map after the last frame, s", after_last, f"{LIVE_GOAL_S:g} {met(after_last, LIVE_GOAL_S)}"),
-    ]
-    show("A live field, settled recipe, 1 thread", ("", "measured", "goal"), rows)
+    finishing = least(lambda: field.surface(stack), 5)[1]
+    return float(np.median(taking)), finishing + LIVE_FRAMES * taking[-1]
 
 
 def show_memory(file: Path) -> None:
