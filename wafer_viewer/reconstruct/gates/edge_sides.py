@@ -166,7 +166,7 @@ class Band(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What the heights around silhouettes say about walls, bool [row / 4, col / 4].
+    """Evidence of the heights around silhouettes for and against walls, bool [row / 4, col / 4].
 
     smooth: one measured surface without jumps, where no wall is; uneven: few heights, or jumps and some not measured,
     where even a faint silhouette is a wall.
