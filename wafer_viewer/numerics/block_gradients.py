@@ -70,21 +70,19 @@ def block_sums(
     columns are counted from the middle of a block, in its sides. Pixels unknown in either (valid: 1 or 0) and a rim of
     3 do not count. Empty without common pixels.
     """
-    spans = [_span(a, b, n) for a, b, n in zip(first.shape, second.shape, lag, strict=True)]
-    n_rows, n_cols = (stop - start for start, stop, _ in spans)
+    (top, bottom, down), (left, right, across) = (
+        _span(first.shape[axis], second.shape[axis], lag[axis]) for axis in (0, 1)
+    )
+    n_rows, n_cols = bottom - top, right - left
     if n_rows <= 0 or n_cols <= 0:
         return np.zeros((0, 0, N_LINES + 1, N_LINES + 1))
-    corner = np.array([spans[0][0], spans[1][0], spans[0][0] - spans[0][2], spans[1][0] - spans[1][2]], np.int64)
-    parts = [round(n) - n for n in lag]
-    weights = np.empty((3, 2, 2 * REACH + 1), np.float32)
-    for part, of_lag in zip((0.0, *parts), weights, strict=True):
-        _fill_taps(part, of_lag)
     n_bands = max(1, n_rows // side)
     sums = np.zeros((n_bands, N_PRODUCTS, n_cols), np.float32)
-    lines = np.zeros((N_LINES + 2, n_cols + 2 * REACH), np.float32)
-    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
-    out = np.zeros((n_bands, max(1, n_cols // side), N_LINES + 1, N_LINES + 1))
-    _to_blocks(sums, out)
+    lines = np.empty((N_LINES + 2, n_cols + 2 * REACH), np.float32)
+    weights = np.empty((3, 2, 2 * REACH + 1), np.float32)
+    out = np.empty((n_bands, max(1, n_cols // side), N_LINES + 1, N_LINES + 1))
+    corner, parts = (top, left, top - down, left - across), (0.0, down - lag[0], across - lag[1])
+    _fill_sums(first, first_valid, second, second_valid, corner, parts, n_rows, weights, lines, sums, out)
     return out
 
 
@@ -92,6 +90,27 @@ def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
     """Return the range of the first's pixels with all neighbours in both, and the integer part of the lag."""
     nearest = round(lag)
     return max(0, nearest) + REACH, min(first, nearest + second) - REACH, nearest
+
+
+@lean_kernel
+def _fill_sums(
+    first: Float32s,
+    first_valid: Float32s,
+    second: Float32s,
+    second_valid: Float32s,
+    corner: tuple[int, int, int, int],
+    parts: tuple[float, float, float],
+    n_rows: int,
+    weights: Float32s,
+    lines: Float32s,
+    sums: Float32s,
+    out: Float64s,
+) -> None:
+    """Fill the products of all blocks; parts: positions between pixels of the first, and of the second's axes."""
+    for k in range(3):
+        _fill_taps(parts[k], weights[k])
+    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
+    _to_blocks(sums, out)
 
 
 @bare_kernel
@@ -136,7 +155,7 @@ def _sum(
     first_valid: Float32s,
     second: Float32s,
     second_valid: Float32s,
-    corner: Int64s,
+    corner: tuple[int, int, int, int],
     weights: Float32s,
     n_rows: int,
     lines: Float32s,
@@ -232,6 +251,7 @@ class BlockGradients:
     index: [n, 2]; place: [n, 2] in -1 ... 1; pixels: number; first, second, both: variances and covariance of the two
     pictures; pull [n, 2] and stiffness [n, 2, 2]: gradient and Hessian of the lag; trust: weight of a block's slopes in
     the Hessian. total_pull [2], total_stiffness [2, 2]: sums over the blocks.
+    grid: rows and columns of blocks; correlation: within all of them, -1 ... 1.
     """
 
     index: Int64s
@@ -245,6 +265,8 @@ class BlockGradients:
     trust: Numbers
     total_pull: Numbers
     total_stiffness: Numbers
+    grid: tuple[int, int]
+    correlation: float
 
 
 def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_filled: float) -> BlockGradients:
@@ -257,14 +279,28 @@ def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_fill
     omitted. The sums are overwritten.
     """
     n = sums.shape[0] * sums.shape[1]
-    index, table, room, total = np.empty((n, 2), np.int64), np.empty((n, 13)), np.empty((3, n)), np.zeros(6)
+    index, table, room, total = np.empty((n, 2), np.int64), np.empty((n, 13)), np.empty((3, n)), np.zeros(9)
     n = _fill_gradients(sums, noise, least_pixels, least_filled, index, table, total, room)
     t = table[:n]
     pixels, first, second, both = t[:, 2], t[:, 3], t[:, 4], t[:, 5]
     pull, stiffness, trust = t[:, 6:8], t[:, 8:12].reshape(n, 2, 2), t[:, 12]
-    total_stiffness = total[2:].reshape(2, 2)
+    total_stiffness = total[2:6].reshape(2, 2)
+    grid, energy = (sums.shape[0], sums.shape[1]), float(total[6] * total[7])
+    correlation = float(total[8]) / energy**0.5 if energy > 0 else 0.0
     return BlockGradients(
-        index[:n], t[:, :2], pixels, first, second, both, pull, stiffness, trust, total[:2], total_stiffness
+        index=index[:n],
+        place=t[:, :2],
+        pixels=pixels,
+        first=first,
+        second=second,
+        both=both,
+        pull=pull,
+        stiffness=stiffness,
+        trust=trust,
+        total_pull=total[:2],
+        total_stiffness=total_stiffness,
+        grid=grid,
+        correlation=correlation,
     )
 
 
@@ -318,6 +354,8 @@ def _fill_gradients(
             row[j] *= trust
         for j in range(6):
             total[j] += row[6 + j]
+        for j in range(3):
+            total[6 + j] += row[3 + j]
     return n
 
 
@@ -342,6 +380,13 @@ def _median(values: Float64s, room: Float64s) -> float:
     if n == 0:
         return 1.0
     ordered = room[:n]
+    _sort(values, ordered)
+    return (ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+
+
+@lean_kernel
+def _sort(values: Float64s, ordered: Float64s) -> None:
+    n = values.size
     for i in range(n):
         ordered[i] = values[i]
     gap = n // 2
@@ -353,62 +398,105 @@ def _median(values: Float64s, room: Float64s) -> float:
                 j -= gap
             ordered[j] = value
         gap //= 2
-    return (ordered[(n - 1) // 2] + ordered[n // 2]) / 2
-
-
-def correlation(blocks: BlockGradients) -> float:
-    """Return the correlation within blocks, -1 ... 1."""
-    energy = float(blocks.first.sum() * blocks.second.sum())
-    return float(blocks.both.sum()) / energy**0.5 if energy > 0 else 0.0
 
 
 def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Numbers:
     """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian.
 
     held: unit vectors of the determined directions, [2, k]; `LOOSE_PX` is the standard uncertainty in the other.
+
+    Errors that neighbouring blocks have in common increase the scatter: along rows and columns, as at a straight edge
+    (A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29 (2011) 238), or in areas of a picture that come
+    from different frames, whichever is more. Shifts of single blocks beyond those between neighbours do too.
     """
-    n, pull = len(blocks.pixels), blocks.pull @ held
-    inverse = inverse_of(held.T @ stiffness @ held)
-    if n < _LEAST_BLOCKS or inverse is None:
+    n, known = len(blocks.pixels), np.empty((2, 2))
+    if n < _LEAST_BLOCKS:
         return np.full((2, 2), np.inf)
-    spread = pull.T @ pull * (n / (n - 2))
-    more = np.sqrt(np.maximum(1.0, _correlated(pull, blocks.index) / np.maximum(np.diag(spread), 1e-30)))
-    by = held @ inverse * more
-    known = by @ spread @ by.T + held @ np.diag(_DRIFT * _drift(blocks, stiffness, held)) @ held.T
-    return known if held.shape[1] == 2 else np.asarray(known + LOOSE_PX**2 * (np.eye(2) - held @ held.T), np.float64)
+    room, table, small = np.empty((blocks.grid[0] * blocks.grid[1], 3)), np.empty((2, n, 2)), np.empty((14, 2))
+    _fill_covariance(blocks.pull, blocks.stiffness, blocks.index, blocks.grid, stiffness, held, room, table, small, known)
+    return known
 
 
-def inverse_of(matrix: Numbers) -> Numbers | None:
-    """Return the inverse of a positive definite matrix, [1, 1] or [2, 2]; None where it is singular."""
-    if len(matrix) == 1:
-        return 1 / matrix if matrix[0, 0] > 0 else None
-    (a, b), (c, d) = matrix.tolist()
+@lean_kernel
+def _fill_covariance(
+    block_pull: Float64s,
+    block_stiffness: Float64s,
+    index: Int64s,
+    grid: tuple[int, int],
+    stiffness: Float64s,
+    held: Float64s,
+    room: Float64s,
+    table: Float64s,
+    small: Float64s,
+    known: Float64s,
+) -> None:
+    n, k = index.shape[0], held.shape[1]
+    pull, stiff = table[0, :, :k], table[1, :, :k]
+    hessian, inverse, spread, by, clusters = small[:2], small[2:4], small[4:6], small[6:8], small[8:12]
+    more, drift = small[12], small[13]
+    _project(block_pull, block_stiffness, held, pull, stiff)
+    for i in range(k):
+        for j in range(k):
+            hessian[i, j] = spread[i, j] = 0.0
+            for a in range(2):
+                for b in range(2):
+                    hessian[i, j] += held[a, i] * stiffness[a, b] * held[b, j]
+            for b in range(n):
+                spread[i, j] += pull[b, i] * pull[b, j] * (n / (n - 2))
+    if not _invert(hessian[:k, :k], inverse):
+        known[:] = math.inf
+        return
+    _fill_spread(pull, index, 1, grid[1], room, clusters[0])
+    _fill_spread(pull, index, grid[0], 1, room, clusters[1])
+    for of_area in range(2):
+        _fill_spread(pull, index, _AREAS[of_area], _AREAS[of_area], room, clusters[2 + of_area])
+    _fill_drift(pull, stiff, index, drift[:k])
+    for j in range(k):
+        along_either = clusters[0, j] + clusters[1, j] - spread[j, j] * ((n - 2) / n)
+        correlated = max(along_either, clusters[2, j], clusters[3, j])
+        more[j] = math.sqrt(max(1.0, correlated / max(spread[j, j], 1e-30)))
+        total = 0.0
+        for b in range(n):
+            total += stiff[b, j]
+        drift[j] *= _DRIFT / max(hessian[j, j] / max(total, 1e-30), _LEAST_REAL) ** 2
+        for a in range(2):
+            by[a, j] = 0.0
+            for i in range(k):
+                by[a, j] += held[a, i] * inverse[i, j] * more[j]
+    for a in range(2):
+        for b in range(2):
+            known[a, b] = LOOSE_PX**2 if k == 1 and a == b else 0.0
+            for i in range(k):
+                known[a, b] += held[a, i] * held[b, i] * (drift[i] - (LOOSE_PX**2 if k == 1 else 0.0))
+                for j in range(k):
+                    known[a, b] += by[a, i] * spread[i, j] * by[b, j]
+
+
+@lean_kernel
+def _project(block_pull: Float64s, block_stiffness: Float64s, held: Float64s, pull: Float64s, stiff: Float64s) -> None:
+    """Fill the gradients and the stiffness of blocks along the determined directions, [n, k]."""
+    for b in range(pull.shape[0]):
+        for j in range(pull.shape[1]):
+            pull[b, j] = stiff[b, j] = 0.0
+            for i in range(2):
+                pull[b, j] += block_pull[b, i] * held[i, j]
+                for m in range(2):
+                    stiff[b, j] += held[i, j] * block_stiffness[b, i, m] * held[m, j]
+
+
+@lean_kernel
+def _invert(matrix: Float64s, inverse: Float64s) -> bool:
+    """Invert a positive definite matrix, [1, 1] or [2, 2]; return whether it is not singular."""
+    if matrix.shape[0] == 1:
+        inverse[0, 0] = 1 / matrix[0, 0] if matrix[0, 0] > 0 else 0.0
+        return matrix[0, 0] > 0
+    a, b, c, d = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
     determinant = a * d - b * c
     if not (a > 0 and d > 0 and determinant > 1e-9 * a * d):
-        return None
-    return np.array([[d, -b], [-c, a]]) / determinant
-
-
-def _correlated(pull: Numbers, index: Int64s) -> Numbers:
-    """Return the sum of the squares of the gradients, [k], with errors that neighbouring blocks have in common.
-
-    Along rows and columns, as at a straight edge (A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29
-    (2011) 238), or in areas of a picture that come from different frames, whichever is more.
-    """
-    n_rows, n_cols = index.max(axis=0) + 1
-    room, out = np.zeros((n_rows * n_cols, 3)), np.zeros((4, pull.shape[1]))
-    for sides, of_cluster in zip(((1, n_cols), (n_rows, 1), *((side, side) for side in _AREAS)), out, strict=True):
-        _fill_spread(pull, index, *sides, room, of_cluster)
-    return np.maximum(out[0] + out[1] - np.einsum("bk,bk->k", pull, pull), out[2:].max(axis=0))
-
-
-def _drift(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Numbers:
-    """Return the variance of the shifts of single blocks beyond that between neighbouring ones, [k], at least 0."""
-    pull, out = blocks.pull @ held, np.zeros(held.shape[1])
-    stiff = np.einsum("ik,bij,jk->bk", held, blocks.stiffness, held)
-    _fill_drift(pull, stiff, blocks.index, out)
-    real = np.einsum("ik,ij,jk->k", held, stiffness, held) / np.maximum(stiff.sum(axis=0), 1e-30)
-    return np.asarray(out / np.maximum(real, _LEAST_REAL) ** 2, np.float64)
+        return False
+    inverse[0, 0], inverse[0, 1], inverse[1, 0], inverse[1, 1] = d, -b, -c, a
+    inverse /= determinant
+    return True
 
 
 @lean_kernel
@@ -459,13 +547,32 @@ def agreement_fraction(blocks: BlockGradients, noise: float) -> float:
 
     A block of strong contrast has no more weight than others with a signal above noise.
     """
-    strength = np.sqrt(blocks.first * blocks.second) / np.maximum(blocks.pixels, 1)
-    visible = blocks.pixels * strength**2 / (strength**2 + (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2 + 1e-30)
-    if not visible.sum() > 0:
+    room = np.empty((3, len(blocks.pixels)))
+    return _agreement(blocks.pixels, blocks.first, blocks.second, blocks.both, noise, room)
+
+
+@lean_kernel
+def _agreement(
+    pixels: Float64s, first: Float64s, second: Float64s, both: Float64s, noise: float, room: Float64s
+) -> float:
+    n, of_noise, total = pixels.size, (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2, 0.0
+    visible, correlation = room[0], room[1]
+    for b in range(n):
+        strength = math.sqrt(first[b] * second[b]) / max(pixels[b], 1.0)
+        visible[b] = pixels[b] * strength**2 / (strength**2 + of_noise + 1e-30)
+        correlation[b] = both[b] / max(strength * pixels[b], 1e-30)
+        total += visible[b]
+    if not total > 0:
         return 0.0
-    correlation = blocks.both / np.maximum(strength * blocks.pixels, 1e-30)
-    best = correlation[np.argsort(visible)[len(visible) // 2 :]].max()
-    return float(visible[correlation > 0.5 * best].sum() / visible.sum())
+    _sort(visible, room[2])
+    best, agreeing = -1.0, 0.0
+    for b in range(n):
+        if visible[b] >= room[2, n // 2]:
+            best = max(best, correlation[b])
+    for b in range(n):
+        if correlation[b] > 0.5 * best:
+            agreeing += visible[b]
+    return agreeing / total
 
 
 def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
@@ -475,14 +582,58 @@ def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
     """
     if len(blocks.pixels) < _LEAST_BLOCKS_BENT:
         return 0.0, 0.0
-    sums, stiffness, spread = np.zeros(4), np.zeros((4, 4)), np.zeros((4, 4))
-    _fill_bend(blocks.place, blocks.pull, blocks.stiffness, np.zeros(4), sums, stiffness, spread)
-    inverse = np.linalg.inv(stiffness + (1e-6 * np.trace(stiffness) + 1e-30) * np.eye(4))
-    bend = inverse @ sums
-    _fill_bend(blocks.place, blocks.pull, blocks.stiffness, bend, sums, stiffness, spread)
-    spread = inverse @ spread @ inverse
-    most = int(np.argmax(np.abs(bend)))
-    return float(np.abs(bend[most])), float(np.abs(bend[most]) / np.sqrt(max(spread[most, most], 1e-30)))
+    out = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros(4), np.zeros(4)
+    return _shift_gradient(blocks.place, blocks.pull, blocks.stiffness, *out)
+
+
+@lean_kernel
+def _shift_gradient(
+    place: Float64s,
+    pull: Float64s,
+    stiffness: Float64s,
+    hessian: Float64s,
+    inverse: Float64s,
+    spread: Float64s,
+    sums: Float64s,
+    bend: Float64s,
+) -> tuple[float, float]:
+    _fill_bend(place, pull, stiffness, bend, sums, hessian, spread)
+    solid = 1e-6 * (hessian[0, 0] + hessian[1, 1] + hessian[2, 2] + hessian[3, 3]) + 1e-30
+    for p in range(4):
+        hessian[p, p] += solid
+    _invert_in_place(hessian, inverse)
+    most = 0
+    for p in range(4):
+        for q in range(4):
+            bend[p] += inverse[p, q] * sums[q]
+        if abs(bend[p]) > abs(bend[most]):
+            most = p
+    _fill_bend(place, pull, stiffness, bend, sums, hessian, spread)
+    variance = 0.0
+    for p in range(4):
+        for q in range(4):
+            variance += inverse[most, p] * spread[p, q] * inverse[most, q]
+    return abs(bend[most]), abs(bend[most]) / math.sqrt(max(variance, 1e-30))
+
+
+@lean_kernel
+def _invert_in_place(matrix: Float64s, inverse: Float64s) -> None:
+    """Fill the inverse of a positive definite matrix, which is overwritten (Gauss and Jordan)."""
+    n = matrix.shape[0]
+    for i in range(n):
+        for j in range(n):
+            inverse[i, j] = 1.0 if i == j else 0.0
+    for i in range(n):
+        pivot = matrix[i, i]
+        for j in range(n):
+            matrix[i, j] /= pivot
+            inverse[i, j] /= pivot
+        for k in range(n):
+            if k != i:
+                part = matrix[k, i]
+                for j in range(n):
+                    matrix[k, j] -= part * matrix[i, j]
+                    inverse[k, j] -= part * inverse[i, j]
 
 
 @lean_kernel
@@ -511,11 +662,14 @@ def _fill_bend(
                 hessian[p, q] += place[b, p // 2] * place[b, q // 2] * stiffness[b, p % 2, q % 2]
 
 
-def decreases(before: BlockGradients, after: BlockGradients, step: Numbers) -> tuple[float, float]:
+def decreases(before: BlockGradients, after: BlockGradients, step: tuple[float, float]) -> tuple[float, float] | None:
     """Return by how much the gradient decreased along a step, and by how much its Hessian says that it does.
 
-    Both gradients count with the weights after the step, which a better fit has changed.
+    Both gradients count with the weights after the step, which a better fit has changed. None where the blocks are not
+    the same.
     """
+    if len(before.index) != len(after.index) or not np.array_equal(before.index, after.index):
+        return None
     out = np.zeros(2)
     _fill_decreases(before.pull, before.stiffness, before.trust, after.pull, after.trust, step, out)
     return float(out[0]), float(out[1])
@@ -528,7 +682,7 @@ def _fill_decreases(
     trust: Float64s,
     later_pull: Float64s,
     later_trust: Float64s,
-    step: Float64s,
+    step: tuple[float, float],
     out: Float64s,
 ) -> None:
     down, right = step[0], step[1]

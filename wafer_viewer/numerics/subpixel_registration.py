@@ -19,7 +19,6 @@ from wafer_viewer.numerics.block_gradients import (
     agreement_fraction,
     block_gradients,
     block_sums,
-    correlation,
     covariance,
     decreases,
     shift_gradient,
@@ -149,9 +148,10 @@ class SubpixelShift:
 
 def held_directions(covariance: Numbers) -> Numbers:
     """Return the unit vectors along which a covariance is not that of a loose direction, [2, k]."""
-    if not np.isfinite(covariance).all():
+    (a, b), (c, d) = covariance.tolist()
+    if not math.isfinite(a + b + c + d):
         return np.zeros((2, 0))
-    if np.trace(covariance) < (LOOSE_PX / 2) ** 2:
+    if a + d < (LOOSE_PX / 2) ** 2:
         return _BOTH
     variances, directions = np.linalg.eigh(covariance)
     return directions[:, variances < (LOOSE_PX / 2) ** 2]
@@ -172,11 +172,11 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
     surface = _Surface.of(first, second, lag, side, pulls, noise, begins=True)
     for _ in range(ALIGNMENT.most_steps):
         step, before = surface.step(pulls, ease), pulls
-        lag = lag[0] + float(step[0]), lag[1] + float(step[1])
-        if np.abs(step).max() < close_px:
+        lag, length = (lag[0] + step[0], lag[1] + step[1]), max(abs(step[0]), abs(step[1]))
+        if length < close_px:
             break
         pulls = _gradients(first, second, lag, side)
-        if np.abs(step).max() > ALIGNMENT.telling_px and surface.measured is None:
+        if length > ALIGNMENT.telling_px and surface.measured is None:
             ease = _hessian_fraction(before, pulls, step)
     surface = _Surface.of(first, second, lag, side, pulls, noise)
     if not roughly:
@@ -186,7 +186,7 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         stiffness = surface.measured
     elif not roughly and not _is_clear(pulls, noise, surface.held):
         stiffness = _hessian_by_differences(first, second, lag, side)
-    alike = correlation(pulls)
+    alike = pulls.correlation
     bent_px, bent_sigmas = shift_gradient(pulls) if surface.held.shape[1] == 2 else (0.0, 0.0)
     return SubpixelShift(
         lag,
@@ -252,27 +252,29 @@ class _Surface:
         if self.measured is None:
             return self
         _, _, along, across = _principal_axes(pulls.total_stiffness)
-        limit = ALIGNMENT.clearly_lowest * (1 - correlation(pulls) ** 2)
+        limit = ALIGNMENT.clearly_lowest * (1 - pulls.correlation**2)
         for off_px in (sign * d for d in ALIGNMENT.beside_px for sign in (1, -1)):
             beside = lag[0] + off_px * float(along[0]), lag[1] + off_px * float(along[1])
-            if 1 - correlation(_gradients(first, second, beside, side)) ** 2 < limit:
+            if 1 - _gradients(first, second, beside, side).correlation ** 2 < limit:
                 return _Surface(across[:, None], None)
         return self
 
-    def step(self, pulls: BlockGradients, ease: float) -> Numbers:
+    def step(self, pulls: BlockGradients, ease: float) -> Lag:
         """Return one Gauss-Newton step of at most a pixel, along the determined directions."""
-        stiffness = pulls.total_stiffness * ease if self.measured is None else self.measured
-        (a, b), (c, d) = stiffness.tolist()
+        stiffness, ease = (pulls.total_stiffness, ease) if self.measured is None else (self.measured, 1.0)
+        (a, b), (c, d) = (stiffness * ease).tolist()
         more = 1e-6 * (a + d) + 1e-30
-        matrix, pull = np.array([[a + more, b], [c, d + more]]), pulls.total_pull
+        a, d, (down, right) = a + more, d + more, pulls.total_pull.tolist()
         if self.held.shape[1] == 1:
-            across = self.held[:, 0]
-            return _within_a_pixel(across * (float(across @ pull) / float(across @ matrix @ across)))
-        return _within_a_pixel(np.asarray(np.linalg.solve(matrix, pull), np.float64))
+            r, q = self.held[:, 0].tolist()
+            length = (r * down + q * right) / (r * (a * r + b * q) + q * (c * r + d * q))
+            return _within_a_pixel(r * length, q * length)
+        determinant = a * d - b * c
+        return _within_a_pixel((d * down - b * right) / determinant, (a * right - c * down) / determinant)
 
 
-def _within_a_pixel(step: Numbers) -> Numbers:
-    return np.minimum(np.maximum(step, -1.0), 1.0)
+def _within_a_pixel(down: float, right: float) -> Lag:
+    return min(max(down, -1.0), 1.0), min(max(right, -1.0), 1.0)
 
 
 def _principal_axes(matrix: Numbers) -> tuple[float, float, Numbers, Numbers]:
@@ -288,11 +290,12 @@ def _noise_stiffness(pulls: BlockGradients, noise: float) -> float:
     return float((pulls.trust * pulls.pixels).sum()) * (ALIGNMENT.noise_slope * noise) ** 2
 
 
-def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Numbers) -> float:
+def _hessian_fraction(before: BlockGradients, after: BlockGradients, step: Lag) -> float:
     """Return the real fraction of the Hessian: slopes of the noise do not move with the picture."""
-    if not np.array_equal(before.index, after.index):
+    found = decreases(before, after, step)
+    if found is None:
         return 1.0
-    decrease, expected = decreases(before, after, step)
+    decrease, expected = found
     return min(1.0, max(ALIGNMENT.least_hessian_fraction, decrease / max(expected, 1e-30)))
 
 

@@ -351,8 +351,11 @@ def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
 
 def _apart(fit: SubpixelShift, lag: Lag) -> float:
     """Return the distance of a fit from a lag in its determined directions, in pixels."""
-    off = fit.held.T @ np.subtract(fit.lag, lag) if np.isfinite(fit.covariance).all() else np.subtract(fit.lag, lag)
-    return float(np.hypot.reduce(off)) if off.size else 0.0
+    down, right = fit.lag[0] - lag[0], fit.lag[1] - lag[1]
+    held = fit.held
+    if held.shape[1] == 1:
+        return abs(float(held[0, 0]) * down + float(held[1, 0]) * right)
+    return math.hypot(down, right)
 
 
 def _with_rivals(fits: list[SubpixelShift]) -> list[SubpixelShift]:
