@@ -413,7 +413,9 @@ def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Num
     if n < _LEAST_BLOCKS:
         return np.full((2, 2), np.inf)
     room, table, small = np.empty((blocks.grid[0] * blocks.grid[1], 3)), np.empty((2, n, 2)), np.empty((14, 2))
-    _fill_covariance(blocks.pull, blocks.stiffness, blocks.index, blocks.grid, stiffness, held, room, table, small, known)
+    _fill_covariance(
+        blocks.pull, blocks.stiffness, blocks.index, blocks.grid, stiffness, held, room, table, small, known
+    )
     return known
 
 

@@ -236,10 +236,10 @@ class _Surface:
         scatter = float(np.sqrt(np.sum((pulls.pull @ along) ** 2)))
         if begins and abs(float(pulls.total_pull @ along)) > ALIGNMENT.surely_pulls * scatter:
             return cls(_BOTH, None)
-        measured = _hessian_by_differences(first, second, lag, side)
-        rises = float(along @ measured @ along)
-        if rises > max(ALIGNMENT.surely_rises * scatter, ALIGNMENT.least_rise * strong):
-            return cls(_BOTH, measured)
+        change = _change_along(first, second, lag, side, along)
+        if float(along @ change) > max(ALIGNMENT.surely_rises * scatter, ALIGNMENT.least_rise * strong):
+            beside = _change_along(first, second, lag, side, across)
+            return cls(_BOTH, _symmetric(np.outer(change, along) + np.outer(beside, across)))
         return cls(across[:, None], None)
 
     def unless_lower_beside(
@@ -308,14 +308,19 @@ def _is_clear(pulls: BlockGradients, noise: float, held: Numbers) -> bool:
 
 def _hessian_by_differences(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> Numbers:
     """Return the Hessian by finite differences of the gradient on both sides of a lag."""
-    felt = np.empty((2, 2))
-    for axis in (0, 1):
-        ahead, behind = (
-            _gradients(first, second, (lag[0] + off * (1 - axis), lag[1] + off * axis), side).total_pull
-            for off in (ALIGNMENT.probe_px, -ALIGNMENT.probe_px)
-        )
-        felt[axis] = (behind - ahead) / (2 * ALIGNMENT.probe_px)
-    return (felt + felt.T) / 2
+    return _symmetric(np.stack([_change_along(first, second, lag, side, axis) for axis in _BOTH]))
+
+
+def _change_along(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, along: Numbers) -> Numbers:
+    """Return the decrease of the gradient per pixel along a unit vector, [2]."""
+    down, right = (ALIGNMENT.probe_px * along).tolist()
+    ahead = _gradients(first, second, (lag[0] + down, lag[1] + right), side).total_pull
+    behind = _gradients(first, second, (lag[0] - down, lag[1] - right), side).total_pull
+    return (behind - ahead) / (2 * ALIGNMENT.probe_px)
+
+
+def _symmetric(matrix: Numbers) -> Numbers:
+    return (matrix + matrix.T) / 2
 
 
 def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> BlockGradients:

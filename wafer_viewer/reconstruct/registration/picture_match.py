@@ -183,14 +183,14 @@ def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> M
     window, reach = _window(first, second, reach_px, factor)
     if min(window.overlap) < MATCH_SEARCH.least_side / 2:
         return _nowhere(RejectionReason.BLANK)
-    one, other = read(first, *window.first), read(second, *window.second)
-    lags, by_chance = _candidates(one, other, window, factor, reach)
+    strips = _Strips.of(first, second, window, read)
+    lags, by_chance = _candidates(strips, window, factor, reach)
     if len(lags) > MATCH_SEARCH.patterned and factor > MATCH_SEARCH.finer:
         factor = MATCH_SEARCH.finer
         window, reach = _window(first, second, reach_px, factor)
-        one, other = read(first, *window.first), read(second, *window.second)
-        lags, by_chance = _candidates(one, other, window, factor, reach)
-    fits, unseen = _refined(one, other, lags, factor, window, reach_px)
+        strips = _Strips.of(first, second, window, read)
+        lags, by_chance = _candidates(strips, window, factor, reach)
+    fits, unseen = _refined(strips, lags, factor, window, reach_px)
     if by_chance and not (fits and fits[0].correlation > MATCH_ACCEPTANCE.like):
         both_show = _has_structure(read(first, *window.common[0])) and _has_structure(read(second, *window.common[1]))
         return _nowhere(RejectionReason.UNLIKE if both_show else RejectionReason.BLANK)
@@ -203,9 +203,30 @@ def match_near(first: HeightMap, second: HeightMap, read: Read) -> Match:
     window, _ = _window(first, second, LOOK_PX, factor)
     if min(window.overlap) < MATCH_SEARCH.least_side / 2:
         return _nowhere(RejectionReason.BLANK)
-    one, other = read(first, *window.first), read(second, *window.second)
-    fits, unseen = _refined(one, other, [window.nominal], factor, window, LOOK_PX)
+    strips = _Strips.of(first, second, window, read)
+    fits, unseen = _refined(strips, [window.nominal], factor, window, LOOK_PX)
     return _judged(fits, unseen, False, window, LOOK_PX) if fits else _nowhere(RejectionReason.UNLIKE)
+
+
+Pair = tuple[RegisteredImage, RegisteredImage]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Strips:
+    """Compared parts of two fields, by binning factor."""
+
+    binned: dict[int, Pair]
+
+    @classmethod
+    def of(cls, first: HeightMap, second: HeightMap, window: OverlapWindow, read: Read) -> _Strips:
+        return cls({1: (read(first, *window.first), read(second, *window.second))})
+
+    def by(self, factor: int) -> Pair:
+        """Return both parts, binned once for all that compare them."""
+        if factor not in self.binned:
+            one, other = self.binned[1]
+            self.binned[factor] = binned_valid(one, factor), binned_valid(other, factor)
+        return self.binned[factor]
 
 
 def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[OverlapWindow, int]:
@@ -230,11 +251,9 @@ def _block_side(window: OverlapWindow) -> int:
     return int(np.clip((area / _BLOCKS) ** 0.5, _LEAST_BLOCK, _LARGEST_BLOCK))
 
 
-def _candidates(
-    one: RegisteredImage, other: RegisteredImage, window: OverlapWindow, factor: int, reach: int
-) -> tuple[list[Lag], bool]:
+def _candidates(strips: _Strips, window: OverlapWindow, factor: int, reach: int) -> tuple[list[Lag], bool]:
     """Return candidate lags in full pixels, the most significant first, and whether they may be chance."""
-    one, other = binned_valid(one, factor), binned_valid(other, factor)
+    one, other = strips.by(factor)
     valids = one.valid > 0, other.valid > 0
     details = (
         contrast(one.values, valids[0], MATCH_SEARCH.around),
@@ -262,7 +281,7 @@ def _peaks(likeness: Likeness, least_pixels: float, reach: int) -> tuple[list[tu
 
 
 def _refined(
-    one: RegisteredImage, other: RegisteredImage, lags: list[Lag], factor: int, window: OverlapWindow, reach_px: float
+    strips: _Strips, lags: list[Lag], factor: int, window: OverlapWindow, reach_px: float
 ) -> tuple[list[SubpixelShift], list[Lag]]:
     """Refine all candidates, and the best fit with its rivals again at each finer resolution.
 
@@ -275,7 +294,7 @@ def _refined(
     for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
         if f < MATCH_SEARCH.patterned_factor and len(fits) > MATCH_SEARCH.few:
             break
-        levels, side = (binned_valid(one, f), binned_valid(other, f)), max(6, _block_side(window) // f)
+        levels, side = strips.by(f), max(6, _block_side(window) // f)
         fits = _with_rivals(_near(levels, lags, side, f, window.nominal))
         if f == factor and len(fits) > 1:
             missing = _missing(fits, window.nominal, reach_px)
@@ -288,9 +307,7 @@ def _refined(
     return fits, unseen
 
 
-def _near(
-    levels: tuple[RegisteredImage, RegisteredImage], lags: Sequence[Lag], side: int, factor: int, nominal: Lag
-) -> list[SubpixelShift]:
+def _near(levels: Pair, lags: Sequence[Lag], side: int, factor: int, nominal: Lag) -> list[SubpixelShift]:
     """Refine lags on binned images, and return the fits that stay near them."""
     return _staying([_aligned(levels, lag, side, factor, nominal) for lag in lags], lags, factor)
 
@@ -318,9 +335,7 @@ def _missing(fits: list[SubpixelShift], nominal: Lag, reach_px: float) -> list[L
     return [(float(r), float(c)) for r, c in points[within & ~known]]
 
 
-def _aligned(
-    levels: tuple[RegisteredImage, RegisteredImage], lag: Lag, side: int, factor: int, nominal: Lag
-) -> SubpixelShift:
+def _aligned(levels: Pair, lag: Lag, side: int, factor: int, nominal: Lag) -> SubpixelShift:
     """Refine a lag on binned images; along lines it stays where the stage has it.
 
     Far from there, an error of the direction of the lines would displace them.
@@ -417,11 +432,19 @@ def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> Rejectio
     )
     if turned or best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
         return RejectionReason.UNLIKE
-    variances = np.linalg.eigvalsh(best.held.T @ best.covariance @ best.held) if best.held.size else [np.inf]
-    is_held = variances[-1] < MATCH_ACCEPTANCE.most_u_px**2
+    is_held = _largest_variance(best) < MATCH_ACCEPTANCE.most_u_px**2
     if not is_held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):
         return RejectionReason.AMBIGUOUS
     return RejectionReason.END_OF_SEARCH if beyond else RejectionReason.NONE
+
+
+def _largest_variance(fit: SubpixelShift) -> float:
+    """Return the largest variance in the determined directions, infinite without any."""
+    held = fit.held
+    if held.shape[1] < 2:
+        return float((held.T @ fit.covariance @ held).max(initial=0)) if held.size else math.inf
+    (a, b), (_, c) = fit.covariance.tolist()
+    return (a + c) / 2 + math.hypot((a - c) / 2, b)
 
 
 def _has_structure(picture: RegisteredImage) -> bool:
