@@ -13,6 +13,11 @@ The limit is the rms error of the best possible estimate: the inverse of the inf
 hold where true neighbours overlap, with a stage as good as the one that was drawn. Fields that overlap nothing, or only
 lines along one direction, cannot be placed to .03 px by anybody; *of those that can* counts the other grids.
 
+*Can be known* counts the misfits that a perfect observer could name: all but two fields that changed places among dies
+without dust or blank ground, where nothing but the stage tells them apart, and it errs too much. The log odds of the
+swap by the places of both fields, for the true scatter of the stage, must outweigh the number of pairs, and that one
+scan in a thousand has swapped fields.
+
 --narrow lets fields overlap by 4 to 7 % only. --peers runs the stitchers of `stitch_peers.py` on the same tiles, those
 of the grids without missing fields and misfits.
 """
@@ -41,11 +46,13 @@ from wafer_viewer.reconstruct.stitching import stitch
 FAR_PX = 2.0
 CAN_PX = 0.02
 """Limit of a grid, in pixels, up to which .03 px can be asked for."""
+SWAPPED_SCANS_NATS = np.log(1000)
+"""Log odds against a scan with swapped fields."""
 MOST_FOR_LIMIT = 100
 """Number of fields up to which the limit is computed: by a dense inverse."""
 HEADER = (
     "ground", "grids", "rms px: median", "mean", "worst tenth", "limit: median", "<= .03 px", "of those that can",
-    "normalised", "believed", "wrong", "misfits", "false alarms", "silently wrong", "ms per overlap",
+    "normalised", "believed", "wrong", "misfits", "can be known", "false alarms", "silently wrong", "ms per overlap",
 )  # fmt: skip
 
 
@@ -62,6 +69,7 @@ class Outcome:
     overlaps: int
     found: int
     planted: int
+    knowable: int
     alarms: int
     fields: int
     silent: bool
@@ -142,6 +150,7 @@ def judged(grid: MadeGrid) -> Outcome:
         overlaps=int(between.sum()),
         found=len(left & set(grid.misfits)),
         planted=len(grid.misfits),
+        knowable=0 if _hides_swap(grid) else len(grid.misfits),
         alarms=len(left - set(grid.misfits)),
         fields=len(grid.heights),
         silent=bool((np.abs(off_px) > FAR_PX).any() and not poses.notes),
@@ -169,6 +178,36 @@ def errors_px(x_um: np.ndarray, y_um: np.ndarray, grid: MadeGrid, counted: np.nd
     if near.sum() > 4 and grid.drawn.kind != "lines":
         off = off - (basis @ np.linalg.lstsq(basis[near], off.ravel()[near], rcond=None)[0]).reshape(off.shape)
     return off / PIXEL_UM
+
+
+def _hides_swap(grid: MadeGrid) -> bool:
+    """Return whether two fields changed places where neither pictures nor the stage can tell."""
+    if "swapped" not in grid.misfits.values() or not grid.drawn.periodic or grid.drawn.dust or grid.drawn.blank:
+        return False
+    n = len(grid.heights)
+    return swap_nats(grid) < SWAPPED_SCANS_NATS + np.log(n * (n - 1) / 2)
+
+
+def swap_nats(grid: MadeGrid) -> float:
+    """Return the log odds of the two swapped fields of a pattern against its other periods, by the stage alone.
+
+    The scatter of the stage and what its errors have in common are known.
+    """
+    drawn_ = grid.drawn
+    a, b = (n for n, what in grid.misfits.items() if what == "swapped")
+    kept = np.array([k for k in range(drawn_.rows * drawn_.cols) if k not in drawn_.missing])
+    true, stage = (at / PIXEL_UM * (1, -1) for at in (grid.true_um, grid.stage_um))
+    common = np.column_stack((np.ones(len(kept)), stage, kept // drawn_.cols % 2))
+    rest = true - stage - common @ np.linalg.lstsq(common, true - stage, rcond=None)[0]
+    cos, sin = np.cos(drawn_.angle), np.sin(drawn_.angle)
+    to_dies, pitch = np.array([[cos, sin], [-sin, cos]]), np.array(drawn_.pitch_px)
+    apart = to_dies @ (true[b] - true[a])
+    periods = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 2), -1).reshape(-1, 2) * pitch
+    nats = 0.0
+    for n, shown in ((a, apart), (b, -apart)):
+        places = rest[n] + (shown - np.rint(shown / pitch) * pitch + periods) @ to_dies
+        nats += (np.sum(places**2, axis=1).min() - np.sum(rest[n] ** 2)) / (2 * drawn_.stage_px**2)
+    return float(nats)
 
 
 def _across(grid: MadeGrid) -> np.ndarray:
@@ -306,6 +345,7 @@ def row(name: str, some: list[Outcome]) -> tuple[Cell, ...]:
         f"{sum(o.believed for o in some)} of {sum(o.overlaps for o in some)}",
         sum(o.wrong for o in some),
         f"{sum(o.found for o in some)} of {sum(o.planted for o in some)}",
+        sum(o.knowable for o in some),
         f"{sum(o.alarms for o in some)} of {sum(o.fields for o in some)}",
         sum(o.silent for o in some),
         f"{1e3 * np.mean([o.seconds for o in some]):.1f}",

@@ -49,6 +49,7 @@ from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fie
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import refine, register
 from wafer_viewer.reconstruct.registration.second_look import look_again
+from wafer_viewer.reconstruct.registration.swap_search import StageDeviations, search_swapped
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
@@ -232,7 +233,7 @@ def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Reg
     pairs, n_fields = neighbours(fields.outlines), len(fields.outlines)
     chosen = _chosen(fields, fields.previous.shifts(pairs, observers.register), observers)
     left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, chosen.shifts))
-    misfits = _searched_misfits(fields, chosen.shifts, left_out, observers)
+    misfits = _searched_misfits(fields, chosen, left_out, observers)
     if misfits.fields and chosen.shifts.repeats.any():
         chosen = _chosen(fields, _without(chosen.shifts, misfits.fields), observers)
         left_out = np.isin(np.arange(n_fields), misplaced_fields(n_fields, chosen.shifts))
@@ -243,11 +244,15 @@ def register_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Reg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Chosen:
-    """Shifts after the choice among the offsets of patterns, notes on it, and the log odds of the periods."""
+    """Shifts after the choice among the offsets of patterns, notes on it, and the log odds of the periods.
+
+    deviations: of the fields from the stage; None without a pattern, or with one for which the stage is too coarse.
+    """
 
     shifts: Shifts
     notes: tuple[str, ...]
     period_odds_nats: Um
+    deviations: StageDeviations | None
 
 
 def _chosen(fields: FieldsToPlace, shifts: Shifts, observers: OverlapObservers) -> _Chosen:
@@ -264,10 +269,11 @@ def _chosen(fields: FieldsToPlace, shifts: Shifts, observers: OverlapObservers) 
         start=(fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um)),
     )
     if choice is None:
-        return _Chosen(_looked_at_again(fields, shifts, observers), (), np.zeros(0))
+        return _Chosen(_looked_at_again(fields, shifts, observers), (), np.zeros(0), None)
     again = np.column_stack((shifts.first, shifts.second))[choice.to_measure]
     measured = choice.with_measured(observers.refine(again, choice.expected_um[choice.to_measure]))
-    return _Chosen(_looked_at_again(fields, measured, observers), choice.notes(pixel_um), choice.odds_nats)
+    found = _looked_at_again(fields, measured, observers)
+    return _Chosen(found, choice.notes(pixel_um), choice.odds_nats, None if choice.refused else choice.deviations)
 
 
 def _looked_at_again(fields: FieldsToPlace, shifts: Shifts, observers: OverlapObservers) -> Shifts:
@@ -289,17 +295,24 @@ def _looked_at_again(fields: FieldsToPlace, shifts: Shifts, observers: OverlapOb
 
 
 def _searched_misfits(
-    fields: FieldsToPlace, shifts: Shifts, left_out: NDArray[np.bool_], observers: OverlapObservers
+    fields: FieldsToPlace, chosen: _Chosen, left_out: NDArray[np.bool_], observers: OverlapObservers
 ) -> Misfits:
     """Return the mirrored, turned and swapped fields; none while new fields are placed against fixed ones."""
-    found = suspects(len(fields.outlines), shifts, left_out)
-    if fields.fixed is not None or not len(found):
+    if fields.fixed is not None:
         return NO_MISFITS
-    x_um, y_um = fields.centres_um
-    expected = _solved_positions(fields, _without(shifts, found))
-    moved = np.column_stack((expected.x_um - x_um, expected.y_um - y_um))
-    pairs = np.column_stack((shifts.first, shifts.second))
-    return search_misfits(found, pairs, moved, usual_unexplained(shifts), observers.opened)
+    misfits, shifts = NO_MISFITS, chosen.shifts
+    found = suspects(len(fields.outlines), shifts, left_out)
+    if len(found):
+        x_um, y_um = fields.centres_um
+        expected = _solved_positions(fields, _without(shifts, found))
+        moved = np.column_stack((expected.x_um - x_um, expected.y_um - y_um))
+        pairs = np.column_stack((shifts.first, shifts.second))
+        misfits = search_misfits(found, pairs, moved, usual_unexplained(shifts), observers.opened)
+    if chosen.deviations is None:
+        return misfits
+    rest = _without(shifts, misfits.fields)
+    swapped = search_swapped(chosen.deviations, rest, fields.outlines[0].pixel_um, observers.opened)
+    return dataclasses.replace(misfits, swapped=(*misfits.swapped, *swapped))
 
 
 def _without(shifts: Shifts, some: Sequence[int] | NDArray[np.int32]) -> Shifts:

@@ -22,6 +22,7 @@ from wafer_viewer.model.surface.field_poses import Numbers, RejectionReason, Shi
 from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph
 from wafer_viewer.reconstruct.pose_graph.candidate_placing import Placing
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags
+from wafer_viewer.reconstruct.registration.swap_search import StageDeviations
 
 BEGINNINGS = ((1.0, 0.0), (0.5, 0.0), (1.0, 0.3), (0.5, 0.6), (0.7, 1.0))
 """Beginnings: part of the expected scatter, and where the first field lies, from the middle (0) to the rim (1)."""
@@ -36,7 +37,8 @@ class Choice:
     shifts: patterns that are open or not measured yet are ambiguous; to_measure: mask of the overlaps to be measured
     at the offsets (x, y) `expected_um`, [e, 2]; scatter_um: of the stage; spacing_px: of the candidates; refused:
     whether patterns were left open because the stage is too coarse for them; odds_nats: log odds of the chosen period
-    of each field against any other, [n], infinite for fields without a pattern that repeats.
+    of each field against any other, [n], infinite for fields without a pattern that repeats; deviations: of the chosen
+    places from the stage.
     """
 
     shifts: Shifts
@@ -46,6 +48,7 @@ class Choice:
     spacing_px: float
     refused: bool
     odds_nats: Numbers
+    deviations: StageDeviations
 
     def notes(self, pixel_um: float) -> tuple[str, ...]:
         """Return why patterns were left open, in a sentence, or nothing."""
@@ -138,6 +141,12 @@ def _chosen(placing: Placing, shifts: Shifts, pixel_um: float) -> Choice:
         graph.spacing_px,
         bool(refused),
         _of_patterned(np.where(refused, 0.0, odds), placing.placed, shifts),
+        StageDeviations(
+            moved_um=moved * pixel_um,
+            by_stage_um=(placing.shared_by @ placing.shared) * pixel_um,
+            scatter_um=placing.scatter * pixel_um,
+            placed=placing.placed,
+        ),
     )
 
 
