@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 SEEDS = {"dies": (3, 4, 9, 19, 63, 123), "dusty dies": (5, 17, 193), "lines": (2, 6, 102), "random": (11,)}
 """Of these, 63 has nine fields; rows of 123 would alternate by a period; pictures of 193 mislead at half resolution;
 the search loses overlaps of 102."""
-MISFITS = {"mirrored": (30, 99, 274), "turned": (28, 115), "swapped": (37, 185)}
+MISFITS = {"mirrored": (30, 99, 274), "turned": (28, 115), "swapped": (37, 124, 185, 409)}
 """Dies with fields that lie wrongly, most of which fit their neighbours somewhere."""
 
 

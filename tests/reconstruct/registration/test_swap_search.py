@@ -34,8 +34,8 @@ def test_swapped_fields_among_equal_dies_are_named():
     assert any(f"Fields {A + 1} and {B + 1} are swapped" in note for note in poses.notes)
 
 
-def test_nobody_is_accused_where_the_stage_errs_by_a_sixth_of_the_pitch():
-    grid = made(dies(3.6, SWAPPED))
+def test_nobody_is_accused_where_the_stage_errs_by_a_fifth_of_the_pitch():
+    grid = made(dies(4.2, SWAPPED))
     assert swap_nats(grid) < 10
     assert left_out(grid) == set()
 
