@@ -15,14 +15,13 @@ import numpy as np
 from wafer_viewer.numerics.block_gradients import (
     LOOSE_PX,
     BlockGradients,
-    Numbers,
     agreement_fraction,
     block_gradients,
-    block_sums,
     covariance,
     decreases,
     shift_gradient,
 )
+from wafer_viewer.numerics.block_sums import Numbers, block_sums
 from wafer_viewer.numerics.jit import Float32s
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter, map_coordinates
 from scipy.special import erf
 
-from wafer_viewer.numerics.block_gradients import block_sums, taps
+from wafer_viewer.numerics.block_sums import block_sums, taps
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align
 
 SHAPE = 160, 90

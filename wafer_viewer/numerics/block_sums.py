@@ -1,0 +1,217 @@
+"""Products of two pictures at a lag, summed over blocks.
+
+Between its pixels a picture is interpolated by a Gaussian wide enough for equal noise at every position. A narrower
+kernel would bias a fit towards the middle between pixels, where noise is smoothed most.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.jit import Float32s, Float64s, bare_kernel, lean_kernel, lean_part
+
+Numbers = NDArray[np.float64]
+REACH = 3
+"""Half width of the interpolation kernel in pixels."""
+N_LINES = 6
+"""Number of quantities multiplied in pairs along a row: 1, row, both values, slope down, slope right."""
+N_PRODUCTS = 21
+"""Number of different products of two of them."""
+N_SHADING = 3
+"""Number of terms of the brightness of a block: 1, row and column."""
+_SIGMA_PX = 0.85
+"""Standard deviation of the Gaussian interpolation kernel, wide enough for equal noise at every position, px."""
+
+
+def taps(part: float) -> Float32s:
+    """Return the weights of value and slope at a position `part` (-0.5 ... 0.5) from the middle of 7 pixels, [2, 7]."""
+    out = np.empty((2, 2 * REACH + 1), np.float32)
+    _fill_taps(part, out)
+    return out
+
+
+@lean_kernel
+def _fill_taps(part: float, out: Float32s) -> None:
+    total = moment = square = 0.0
+    for k in range(2 * REACH + 1):
+        away = k - REACH - part
+        value = math.exp(-((away / _SIGMA_PX) ** 2) / 2)
+        total, moment, square = total + value, moment + value * away, square + value * away * away
+    mean = moment / total
+    for k in range(2 * REACH + 1):
+        away = k - REACH - part
+        value = math.exp(-((away / _SIGMA_PX) ** 2) / 2) / total
+        out[0, k], out[1, k] = value, value * (away - mean) / (square / total - mean * mean)
+
+
+def block_sums(
+    first: Float32s,
+    first_valid: Float32s,
+    second: Float32s,
+    second_valid: Float32s,
+    lag: tuple[float, float],
+    side: int,
+) -> NDArray[np.float64]:
+    """Return the block sums of all products of (1, row, col, first, second, slope down, slope right).
+
+    float64 [block row, block col, 7, 7], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
+    with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Rows and
+    columns are counted from the middle of a block, in its sides. Pixels unknown in either (valid: 1 or 0) and a rim of
+    3 do not count. Empty without common pixels.
+    """
+    (top, bottom, down), (left, right, across) = (
+        _span(first.shape[axis], second.shape[axis], lag[axis]) for axis in (0, 1)
+    )
+    n_rows, n_cols = bottom - top, right - left
+    if n_rows <= 0 or n_cols <= 0:
+        return np.zeros((0, 0, N_LINES + 1, N_LINES + 1))
+    n_bands = max(1, n_rows // side)
+    sums = np.zeros((n_bands, N_PRODUCTS, n_cols), np.float32)
+    lines = np.empty((N_LINES + 2, n_cols + 2 * REACH), np.float32)
+    weights = np.empty((3, 2, 2 * REACH + 1), np.float32)
+    out = np.empty((n_bands, max(1, n_cols // side), N_LINES + 1, N_LINES + 1))
+    corner, parts = (top, left, top - down, left - across), (0.0, down - lag[0], across - lag[1])
+    _fill_sums(first, first_valid, second, second_valid, corner, parts, n_rows, weights, lines, sums, out)
+    return out
+
+
+def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
+    """Return the range of the first's pixels with all neighbours in both, and the integer part of the lag."""
+    nearest = round(lag)
+    return max(0, nearest) + REACH, min(first, nearest + second) - REACH, nearest
+
+
+@lean_kernel
+def _fill_sums(
+    first: Float32s,
+    first_valid: Float32s,
+    second: Float32s,
+    second_valid: Float32s,
+    corner: tuple[int, int, int, int],
+    parts: tuple[float, float, float],
+    n_rows: int,
+    weights: Float32s,
+    lines: Float32s,
+    sums: Float32s,
+    out: Float64s,
+) -> None:
+    """Fill the products of all blocks; parts: positions between pixels of the first, and of the second's axes."""
+    for k in range(3):
+        _fill_taps(parts[k], weights[k])
+    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
+    _to_blocks(sums, out)
+
+
+@bare_kernel
+def _to_blocks(sums: Float32s, out: Float64s) -> None:
+    """Convert sums over the rows of a band, [band, product, col], to symmetric matrices with a line for the column."""
+    n_cols, n_blocks = sums.shape[2], out.shape[1]
+    for band in range(sums.shape[0]):
+        for block in range(n_blocks):
+            start, stop, matrix = block * n_cols // n_blocks, (block + 1) * n_cols // n_blocks, out[band, block]
+            n = 0
+            for i in range(N_LINES):
+                for j in range(i, N_LINES):
+                    a, b = i + (i > 1), j + (j > 1)
+                    matrix[a, b] = matrix[b, a] = _total(sums[band, n, start:stop])
+                    n += 1
+            for j in range(N_LINES):
+                b = j + (j > 1)
+                matrix[2, b] = matrix[b, 2] = _moment(sums[band, j], start, stop, n_blocks, 1)
+            matrix[2, 2] = _moment(sums[band, 0], start, stop, n_blocks, 2)
+
+
+@bare_kernel
+def _total(row: Float32s) -> float:
+    total = 0.0
+    for x in range(row.size):
+        total += row[x]
+    return total
+
+
+@bare_kernel
+def _moment(row: Float32s, start: int, stop: int, n_blocks: int, power: int) -> float:
+    total, n_cols = 0.0, row.size
+    for x in range(start, stop):
+        col = (x * n_blocks % n_cols) / n_cols - 0.5
+        total += row[x] * col if power == 1 else row[x] * col * col
+    return total
+
+
+@lean_kernel
+def _sum(
+    first: Float32s,
+    first_valid: Float32s,
+    second: Float32s,
+    second_valid: Float32s,
+    corner: tuple[int, int, int, int],
+    weights: Float32s,
+    n_rows: int,
+    lines: Float32s,
+    sums: Float32s,
+) -> None:
+    n_bands, n_cols = sums.shape[0], sums.shape[2]
+    left, other_left = corner[1], corner[3]
+    valid, place, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
+    smooth, slope = lines[6], lines[7]
+    for r in range(n_rows):
+        row, other = corner[0] + r, corner[2] + r
+        _weigh(first, row, left, weights[0, 0], smooth)
+        _along(smooth, weights[0, 0], a)
+        _weigh(second, other, other_left, weights[1, 0], smooth)
+        _weigh(second, other, other_left, weights[1, 1], slope)
+        _along(smooth, weights[2, 0], b)
+        _along(slope, weights[2, 0], down)
+        _along(smooth, weights[2, 1], right)
+        _multiply(first_valid[row, left:], second_valid[other, other_left:], valid[:n_cols])
+        _apply_mask(valid[:n_cols], np.float32(r * n_bands % n_rows / n_rows - 0.5), place, a, b, down, right)
+        band = sums[r * n_bands // n_rows]
+        n = 0
+        for i in range(N_LINES):
+            for j in range(i, N_LINES):
+                _add_product(lines[i], lines[j], band[n])
+                n += 1
+
+
+@lean_part
+def _weigh(picture: Float32s, row: int, left: int, weights: Float32s, out: Float32s) -> None:
+    """Interpolate one row between the rows of a picture."""
+    w0, w1, w2, w3, w4, w5, w6 = weights
+    start = left - 3
+    a, b, c = picture[row - 3, start:], picture[row - 2, start:], picture[row - 1, start:]
+    d, e, f, g = picture[row, start:], picture[row + 1, start:], picture[row + 2, start:], picture[row + 3, start:]
+    for x in range(out.size):
+        out[x] = w0 * a[x] + w1 * b[x] + w2 * c[x] + w3 * d[x] + w4 * e[x] + w5 * f[x] + w6 * g[x]
+
+
+@lean_part
+def _along(row: Float32s, weights: Float32s, out: Float32s) -> None:
+    w0, w1, w2, w3, w4, w5, w6 = weights
+    for x in range(out.size - 6):
+        out[x] = (
+            w0 * row[x] + w1 * row[x + 1] + w2 * row[x + 2] + w3 * row[x + 3] + w4 * row[x + 4] + w5 * row[x + 5]
+        ) + w6 * row[x + 6]
+
+
+@lean_part
+def _multiply(first: Float32s, second: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] = first[x] * second[x]
+
+
+@lean_part
+def _apply_mask(
+    valid: Float32s, row: np.float32, place: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s
+) -> None:
+    for x in range(valid.size):
+        place[x] = row * valid[x]
+        a[x], b[x], down[x], right[x] = a[x] * valid[x], b[x] * valid[x], down[x] * valid[x], right[x] * valid[x]
+
+
+@lean_part
+def _add_product(first: Float32s, second: Float32s, total: Float32s) -> None:
+    for x in range(total.size):
+        total[x] += first[x] * second[x]
