@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,16 @@ from tests.support.paths import ROOT
 pytestmark = pytest.mark.slow
 COMPILED = "wafer_viewer/numerics/compiled/"
 PYTHONS = ("3.11", "3.12", "3.13")
+BUILD = """
+import sys
+
+sys.modules.update(dict.fromkeys(sys.argv[1:]))
+from wafer_viewer.session.surface.kernel_build import PARTS
+
+for part in PARTS:
+    part()
+"""
+"""What the hook runs, in one process, where the modules named cannot be imported."""
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +85,29 @@ def test_what_the_kernels_are_built_with_is_what_the_program_runs_with() -> None
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     hook = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["custom"]
     assert set(hook["dependencies"]) <= set(settings["project"]["dependencies"])
+
+
+def test_the_kernels_compile_where_only_what_the_hook_asks_for_is_installed() -> None:
+    done = run(sys.executable, "-c", BUILD, *sorted(others_than_asked_for()), cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def others_than_asked_for() -> set[str]:
+    """Modules of this environment that pip does not install where it builds the wheel."""
+    hook = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]
+    wanted, held = [name_of(text) for text in hook["custom"]["dependencies"]], set[str]()
+    while wanted:
+        if (name := wanted.pop()) not in held:
+            held.add(name)
+            wanted += [name_of(text) for text in metadata.requires(name) or () if "extra ==" not in text]
+    there = metadata.packages_distributions()
+    installed = {module for module, names in there.items() if held & set(map(name_of, names))}
+    return set(there) - installed - {"wafer_viewer"}
+
+
+def name_of(requirement: str) -> str:
+    """The normalised name of a distribution that is required."""
+    return re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", requirement, maxsplit=1)[0]).lower()
 
 
 def interpreter(version: str) -> str | None:

@@ -14,11 +14,10 @@ PROCESSES = 2
 
 def compile_all() -> None:
     """Compile every kernel that a scan on the virtual rig and its surface need, in several processes."""
-    parts = warm_up_heights, _scenes, warm_up_stitching, _deep_frames, _other_searches
     with ProcessPoolExecutor(
         min(os.cpu_count() or 1, PROCESSES), mp_context=get_context("spawn"), max_tasks_per_child=1
     ) as pool:
-        for part in [pool.submit(part) for part in parts]:
+        for part in [pool.submit(part) for part in PARTS]:
             part.result()
 
 
@@ -53,3 +52,7 @@ def _other_searches() -> None:
     recipes = [Recipe(focus_measure=measure.name, edges="none") for measure in BUILT_IN]
     for recipe in (*recipes, Recipe(peak="argmax", edges="none"), Recipe(peak="gaussian", edges="none")):
         warm_up(np.uint8, recipe)
+
+
+PARTS = warm_up_heights, _scenes, warm_up_stitching, _deep_frames, _other_searches
+"""What is compiled, a process for each."""
