@@ -252,13 +252,16 @@
     return [[...new Set(found)], pale(texts())];
   };
 
-  /* Every text with its colour and ground: the same whether the page was turned by itself or here. */
+  /* Every text with its colours and grounds, the same whether the page was turned by itself or here. Two places may say
+     the same in different colours. */
   const colours = () => {
     begin();
-    return Object.fromEntries(texts().map(({ element, said }) => {
-      const { s, ground } = factsOf(element);
-      return [`${said} · ${words(element.className)}`, `${s.color} on ${ground?.map(Math.round)}`];
-    }));
+    const found = new Map();
+    for (const { element, said } of texts()) {
+      const { s, ground } = factsOf(element), text = `${said} · ${words(element.className)}`;
+      found.set(text, (found.get(text) ?? new Set()).add(`${s.color} on ${ground?.map(Math.round)}`));
+    }
+    return Object.fromEntries([...found].map(([text, looks]) => [text, [...looks].sort()]));
   };
   const coloursTurned = other => {
     const own = theme();
