@@ -252,16 +252,15 @@
     return [[...new Set(found)], pale(texts())];
   };
 
-  /* Every text with its colours and grounds, the same whether the page was turned by itself or here. Two places may say
-     the same in different colours. */
+  /* Every text with its colour and ground: the same whether the page was turned by itself or here. What lies around it
+     is part of its name, as two places may say the same in different colours, and one of them come in later. */
   const colours = () => {
     begin();
-    const found = new Map();
-    for (const { element, said } of texts()) {
-      const { s, ground } = factsOf(element), text = `${said} · ${words(element.className)}`;
-      found.set(text, (found.get(text) ?? new Set()).add(`${s.color} on ${ground?.map(Math.round)}`));
-    }
-    return Object.fromEntries([...found].map(([text, looks]) => [text, [...looks].sort()]));
+    return Object.fromEntries(texts().map(({ element, said }) => {
+      const { s, ground } = factsOf(element);
+      const around = element.parentElement.closest('[class]');
+      return [`${said} · ${words(element.className)} in ${words(around?.getAttribute('class') ?? '')}`, `${s.color} on ${ground?.map(Math.round)}`];
+    }));
   };
   const coloursTurned = other => {
     const own = theme();
