@@ -30,7 +30,6 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     Surroundings,
     classify_sides,
     find_band,
-    side_heights_um,
     surroundings,
 )
 from wafer_viewer.reconstruct.gates.focus_along_walls import (
@@ -42,6 +41,7 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
     tangential_levels,
     tangential_margin_px,
 )
+from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
@@ -231,18 +231,48 @@ def test_a_faint_silhouette_is_a_wall_where_the_heights_jump_beside_it() -> None
     assert (side[40:160, 124:] == EdgeSide.AWAY).all()
 
 
-def test_the_height_of_a_die_is_not_expected_beyond_the_bright_line_of_its_rim() -> None:
-    shape = 200, 240
-    line = silhouettes((slice(0, 100), slice(56, 66), 9))
-    band = find_band(line, 5, 8)
+def dark_heights_um(
+    z_um: NDArray[np.float32], line: slice, level: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """Heights in um expected on both sides of a bright line; z_um: measured, [row, col]; line: its columns."""
+    half = slice((line.start - 5) // 2, (line.stop + 5) // 2)
+    band = find_band(silhouettes((slice(0, 100), half, 9)), 5, 8)
     assert band is not None
-    cols = np.arange(240)
-    grey = np.where(np.abs(cols - 122) < 5, 200.0, 20.0).astype(np.float32) * np.ones((200, 1), np.float32)
-    sides = classify_sides(grey, band, 6.0)
-    z_um, die = np.full(shape, 30.0, np.float32), np.ones(shape, np.bool_) & (cols < 100)
-    dark_um, _ = side_heights_um(z_um, die, grey.astype(np.uint8), band, sides, 6.0, 1.0)
+    grey = np.full(z_um.shape, 20.0, np.float32)
+    grey[:, line] = 200.0
+    sides, passed = classify_sides(grey, band, 6.0), np.isfinite(z_um)
+    return side_heights_um(z_um, passed, grey.astype(np.uint8), band, sides, 6.0, 1.0, level)[0]
+
+
+def die_and_ground(die_um: float, ground_um: float, ground: slice) -> NDArray[np.float32]:
+    """Heights in um of a die left of column 100 and of some columns of ground, NaN elsewhere."""
+    z_um = np.full((200, 240), np.nan, np.float32)
+    z_um[:, :100], z_um[:, ground] = die_um, ground_um
+    return z_um
+
+
+def test_the_height_of_a_die_is_not_expected_beyond_the_bright_line_of_its_rim() -> None:
+    dark_um = dark_heights_um(die_and_ground(30.0, 0.0, slice(240, 240)), slice(118, 127))
     assert (dark_um[:, 26:29] == 30.0).all()
     assert np.isnan(dark_um[:, 33:36]).all()
+
+
+def test_beyond_a_bright_line_the_height_of_the_same_side_is_expected_though_it_is_further_away() -> None:
+    dark_um = dark_heights_um(die_and_ground(30.0, 0.0, slice(168, 240)), slice(118, 127))
+    assert (dark_um[:, 26:29] == 30.0).all()
+    assert (dark_um[:, 33:36] == 0.0).all()
+
+
+def test_a_bright_line_on_one_measured_surface_parts_no_heights() -> None:
+    seal_ring, rim = np.full((200, 240), 30.0, np.float32), die_and_ground(30.0, 0.0, slice(124, 240))
+    line = silhouettes((slice(0, 100), slice(57, 66), 9))
+    levels = [around(line, z_um).level for z_um in (seal_ring, rim)]
+    assert levels[0][:, 28:33].all()
+    assert not levels[1][:, 28:33].any()
+    die = die_and_ground(30.0, 0.0, slice(240, 240))
+    beyond_um = [dark_heights_um(die, slice(118, 127), level)[:, 33:35] for level in levels]
+    assert (beyond_um[0] == 30.0).all()
+    assert np.isnan(beyond_um[1]).all()
 
 
 @pytest.mark.parametrize("seed", [80, 94, 96])

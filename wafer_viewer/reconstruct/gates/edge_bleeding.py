@@ -36,7 +36,6 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     classify_sides,
     find_band,
     outline_grey,
-    side_heights_um,
     surroundings,
 )
 from wafer_viewer.reconstruct.gates.focus_along_walls import (
@@ -51,6 +50,7 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
     vectors_px,
 )
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
+from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
@@ -181,7 +181,7 @@ def find_edges(
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
     sides = classify_sides(_outline_grey(frames, band, threads), band, dark_counts)
     dark_um, bright_um = side_heights_um(
-        peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
+        peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um, around.level
     )
     expected_um = _expected(sides.side, dark_um, bright_um)
     wall_um = doubled(frames.z_um.astype(np.float32)[band.frame], frames.shape)

@@ -1,4 +1,4 @@
-"""Sides of a wall: classification of the pixels near its silhouette, and the height on each side.
+"""Sides of a wall: classification of the pixels near its silhouette.
 
 A wall is a long silhouette that persists. One between sides that are nearly as bright, or seen by a narrow cone of
 light, persists for few frames: it is a wall all the same where the heights jump beside it or are few. Such a faint wall
@@ -6,12 +6,6 @@ judges its dark side only, on which light bleeds.
 
 The frame in which the wall is sharpest is used: there, at the foot or the top of the wall, light does not bleed over
 it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side.
-
-Heights come from cells of 4 x 4 pixels, as in the coarse focus volume. A cell is an anchor of a side when it lies
-entirely on it, its pixels passed the gate, and it is flat together with its neighbours: false heights by bleeding light
-are not flat, they rise with the distance from the wall divided by the aperture. Within a focus window of the wall a
-dark die without texture shows the texture of the bright trench, in focus and flat: there an anchor of the dark side has
-another height than the bright side. Small groups of cells are not accepted.
 """
 
 from __future__ import annotations
@@ -23,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.filters.local_planes import local_planes
 from wafer_viewer.numerics.filters.sliding_filters import (
     doubled,
@@ -32,14 +25,11 @@ from wafer_viewer.numerics.filters.sliding_filters import (
     lowest,
     mean,
     mean_of_valid,
-    nearest,
 )
 from wafer_viewer.numerics.jit import (
     Bools,
     Float32s,
-    Greys,
     Int,
-    Int64s,
     UInt8s,
     UInt16s,
     lean_kernel,
@@ -48,6 +38,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     COARSE_PX,
     StackSource,
 )
+from wafer_viewer.reconstruct.gates.height_cells import REACH_CELLS, cell_means, cell_medians
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 
 STANDING_GAPS = 1.0
@@ -82,6 +73,8 @@ class WallParameters:
         Distance of a jump from a faint wall.
     few_share : float
         Share of measured pixels around a faint wall below which they are few.
+    level_cells : int, cells
+        Distance around a bright line within which one measured surface shows that the line parts none: a seal ring.
     """
 
     least_length_px: int = 48
@@ -95,6 +88,7 @@ class WallParameters:
     faint_gap_px: int = 16
     uneven_cells: int = 3
     few_share: float = 0.8
+    level_cells: int = 3
 
     def faint_frames(self, standing_frames: float) -> float:
         """Return the number of frames through which a faint wall persists; standing_frames: of a wall."""
@@ -169,11 +163,12 @@ class Surroundings(NamedTuple):
     """Evidence of the heights around silhouettes for and against walls, bool [row / 4, col / 4].
 
     smooth: one measured surface without jumps, where no wall is; uneven: few heights, or jumps and some not measured,
-    where even a faint silhouette is a wall.
+    where even a faint silhouette is a wall; level: one measured surface without jumps on both sides of a line.
     """
 
     smooth: NDArray[np.bool_]
     uneven: NDArray[np.bool_]
+    level: NDArray[np.bool_]
 
 
 class Sides(NamedTuple):
@@ -263,20 +258,24 @@ def surroundings(
     textured to be measured as far as an anchor reaches. Within `reach_px` of the border of the frame the window sees
     one side of a silhouette only: no surface goes on beyond it for sure.
     """
-    size = 2 * _ANCHOR_REACH + 1
+    size = 2 * REACH_CELLS + 1
     sure, faint = (
         highest(halved(silhouette.standing >= frames) > 0, size + 2)
         for frames in (standing_frames, WALL.faint_frames(standing_frames))
     )
-    planes = local_planes(_cell_medians(z_um, passed, faint), WALL.plane_cells)
+    planes = local_planes(cell_medians(z_um, passed, faint), WALL.plane_cells)
     jumps = planes.residual > WALL.jump_residual * WALL.jump_tolerances * tolerance_um
-    measured_share = mean(_cell_means(passed.view(np.uint8), faint.shape), size)
+    passed_share = cell_means(passed.view(np.uint8), faint.shape)
+    measured_share = mean(passed_share, size)
     complete = measured_share >= WALL.measured_share
     smooth = complete & ~highest(jumps & sure, size)
     border = -(-reach_px // COARSE_PX)
     smooth[:border] = smooth[-border:] = smooth[:, :border] = smooth[:, -border:] = False
     few = measured_share < WALL.few_share
-    return Surroundings(smooth, ~complete & (few | highest(jumps, 2 * WALL.uneven_cells + 1)))
+    uneven = ~complete & (few | highest(jumps, 2 * WALL.uneven_cells + 1))
+    beside = 2 * WALL.level_cells + 1
+    level = (mean(passed_share, beside) >= WALL.measured_share) & ~highest(jumps, beside)
+    return Surroundings(smooth, uneven, level)
 
 
 def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
@@ -382,212 +381,3 @@ def _extremes(log: NDArray[np.float32], inside: NDArray[np.bool_]) -> tuple[NDAr
     far, none = np.float32(1e3), np.float32(0)
     low, high = lowest(np.where(inside, log, far), SIDE.levels_px), highest(np.where(inside, log, -far), SIDE.levels_px)
     return np.where(inside, low, none), np.where(inside, high, none)
-
-
-@dataclass(frozen=True, slots=True)
-class AnchorParameters:
-    """Limits of the cells of 4 x 4 pixels that give the height of a side of a wall.
-
-    Parameters
-    ----------
-    reach_px : int, px
-        Distance over which an anchor height is extrapolated towards the wall.
-    enough_pixels : int
-        Smallest number of pixels of a cell that passed the gate.
-    enough_neighbours : int
-        Smallest number of cells with a height among 3 x 3 cells around an anchor.
-    enough_cells : int
-        Smallest number of connected anchors.
-    solid_cells : int, cells
-        Side of the square that anchors fill: the outline of a polished rim is a strip of one height.
-    around_cells : int, cells
-        Distance within which the heights of a side are compared with those of its anchors.
-    agreeing_share : float
-        Smallest share of these heights that agrees with an anchor.
-    pure_share : float
-        Smallest fraction of the pixels around an anchor that lie on its side.
-    bright_cells : int, cells
-        Distance within which these pixels lie on the bright side.
-    dark_cells : int, cells
-        Distance within which they lie on the dark side.
-    apart : float
-        Smallest difference from the bright side, in tolerances, of an anchor of the dark side nearer to the wall than
-        the focus window reaches.
-    barrier_share : float
-        Bright fraction of a cell that parts dark cells: the bright line of a polished rim is between two heights.
-    """
-
-    reach_px: int = 48
-    enough_pixels: int = 6
-    enough_neighbours: int = 5
-    enough_cells: int = 10
-    solid_cells: int = 2
-    around_cells: int = 6
-    agreeing_share: float = 0.5
-    pure_share: float = 0.95
-    bright_cells: int = 1
-    dark_cells: int = 2
-    apart: float = 2.0
-    barrier_share: float = 0.4
-
-
-ANCHOR = AnchorParameters()
-_ANCHOR_REACH = ANCHOR.reach_px // COARSE_PX
-"""Reach of an anchor, in cells."""
-
-
-def side_heights_um(
-    z_um: NDArray[np.float32],
-    passed: NDArray[np.bool_],
-    all_in_focus: Image,
-    band: Band,
-    sides: Sides,
-    dark_counts: float,
-    tolerance_um: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the heights of the dark and the bright side, float32 [row / 4, col / 4]; NaN without an anchor nearby.
-
-    z_um, passed, all_in_focus: [row, col], passed is the gate mask; tolerance_um: tolerance for equal heights.
-    """
-    near = highest(halved(band.inside) > 0, 2 * (_ANCHOR_REACH + 1) + 1)
-    heights = _cell_medians(z_um, passed, near)
-    far_dark, near_dark, bright = _cell_sides(all_in_focus, band, sides, dark_counts)
-    nothing = np.float32(np.nan)
-    bright_um = _from_anchors(np.where(bright, heights, nothing), tolerance_um)
-    apart = np.abs(heights - bright_um) > ANCHOR.apart * tolerance_um
-    lines = halved(sides.bright_share) >= ANCHOR.barrier_share
-    dark_um = _from_anchors(np.where(far_dark | (near_dark & apart), heights, nothing), tolerance_um, lines)
-    return dark_um, bright_um
-
-
-def _cell_sides(
-    all_in_focus: Image, band: Band, sides: Sides, dark_counts: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the cells on the dark side beyond the window, entirely on the dark, and on the bright side.
-
-    Beyond the band, cells are classified by their grey against the threshold at the nearest wall.
-    """
-    coverage = halved(band.inside)
-    in_band = coverage > 0
-    per_coverage = 1 / np.maximum(coverage, np.float32(1e-6))
-    grey = _cell_means(all_in_focus, in_band.shape)
-    _, nearest_cell = nearest(in_band)
-    threshold = (halved(sides.threshold) * per_coverage)[nearest_cell]
-    brighter = np.log(grey + np.float32(dark_counts)) >= threshold
-    bright = np.where(in_band, halved(sides.bright_share) * per_coverage, brighter)
-    around = (-(-band.reach_px // COARSE_PX), ANCHOR.dark_cells, ANCHOR.bright_cells)
-    beyond, beside, bright = (mean(bright, 2 * cells + 1) for cells in around)
-    return beyond <= 1 - ANCHOR.pure_share, beside <= 1 - ANCHOR.pure_share, bright >= ANCHOR.pure_share
-
-
-def _from_anchors(
-    heights: NDArray[np.float32], tolerance_um: float, barriers: NDArray[np.bool_] | None = None
-) -> NDArray[np.float32]:
-    """Return the height of the nearest anchor, NaN beyond its reach and behind cells of `barriers`."""
-    from skimage.morphology import opening
-
-    square = np.ones((ANCHOR.solid_cells, ANCHOR.solid_cells), np.bool_)
-    anchors = _large(opening(_flat(heights, tolerance_um), square))
-    anchors = _large(anchors & _agreed(heights, anchors, tolerance_um))
-    if not anchors.any():
-        return np.full_like(heights, np.nan)
-    distance, at = nearest(anchors)
-    reached = distance <= _ANCHOR_REACH
-    if barriers is not None:
-        reached &= _on_one_side(barriers, at)
-    return np.where(reached, _smoothed(heights, anchors)[at], np.float32(np.nan))
-
-
-def _on_one_side(barriers: NDArray[np.bool_], at: tuple[NDArray[np.intp], NDArray[np.intp]]) -> NDArray[np.bool_]:
-    """Return the cells that no barrier parts from others `at`; a cell of a barrier belongs to the nearest side."""
-    from skimage.measure import label
-
-    parts: NDArray[np.int64] = np.asarray(label(~barriers, connectivity=1))
-    if not parts.any():
-        return np.zeros(barriers.shape, np.bool_)
-    parts = parts[nearest(parts > 0)[1]]
-    return parts == parts[at]
-
-
-def _agreed(heights: NDArray[np.float32], anchors: NDArray[np.bool_], tolerance_um: float) -> NDArray[np.bool_]:
-    """Return the cells around which enough heights agree with that of their nearest anchor."""
-    if not anchors.any():
-        return anchors
-    size, known = 2 * ANCHOR.around_cells + 1, np.isfinite(heights)
-    anchor_um = _smoothed(heights, anchors)[nearest(anchors)[1]]
-    agreeing = known & (np.abs(heights - anchor_um) < tolerance_um)
-    return mean(agreeing, size) >= ANCHOR.agreeing_share * mean(known, size)
-
-
-def _large(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    from skimage.morphology import remove_small_objects
-
-    return remove_small_objects(cells, max_size=ANCHOR.enough_cells - 1)
-
-
-def _smoothed(heights: NDArray[np.float32], anchors: NDArray[np.bool_]) -> NDArray[np.float32]:
-    return mean_of_valid(heights, anchors, 3)
-
-
-def _flat(heights: NDArray[np.float32], tolerance_um: float) -> NDArray[np.bool_]:
-    """Return the cells with enough neighbours, all of the same height."""
-    finite = np.isfinite(heights)
-    return (_ranges(heights) < tolerance_um) & finite & (9 * mean(finite, 3) > ANCHOR.enough_neighbours - 0.5)
-
-
-def _ranges(heights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the range of the heights of 3 x 3 cells, -inf where there is none."""
-    finite, far = np.isfinite(heights), np.float32(np.inf)
-    return highest(np.where(finite, heights, -far), 3) - lowest(np.where(finite, heights, far), 3)
-
-
-def _cell_means(image: Image, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the means of cells of an image, whose border pixels repeat."""
-    means = np.empty(shape, np.float32)
-    _average_cells(np.ascontiguousarray(image), means)
-    return means
-
-
-@lean_kernel
-def _average_cells(image: Greys, means: Float32s) -> None:
-    last_row, last_col = image.shape[0] - 1, image.shape[1] - 1
-    for i in range(means.shape[0]):
-        for j in range(means.shape[1]):
-            total = np.int64(0)
-            for r in range(COARSE_PX * i, COARSE_PX * (i + 1)):
-                for c in range(COARSE_PX * j, COARSE_PX * (j + 1)):
-                    total += np.int64(image[min(r, last_row), min(c, last_col)])
-            means[i, j] = total / COARSE_PX**2
-
-
-def _cell_medians(z_um: NDArray[np.float32], passed: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the median height of the accepted pixels of each cell; NaN where they are few or the cell is far."""
-    n_cells = int(np.count_nonzero(near))
-    values, count = np.empty((n_cells, COARSE_PX**2), np.float32), np.empty(n_cells, np.int64)
-    _take_cells(z_um, passed, near, values, count)
-    values.sort(axis=1)
-    middle = values[np.arange(n_cells), np.maximum(count - 1, 0) // 2]
-    out = np.full(near.shape, np.nan, np.float32)
-    out[near] = np.where(count >= ANCHOR.enough_pixels, middle, np.float32(np.nan))
-    return out
-
-
-@lean_kernel
-def _take_cells(z_um: Float32s, passed: Bools, near: Bools, values: Float32s, count: Int64s) -> None:
-    """Take the accepted pixels of the cells that are near, one cell a row, and inf for the others; count: accepted."""
-    n_rows, n_cols = z_um.shape
-    n, far = 0, np.float32(np.inf)
-    for i in range(near.shape[0]):
-        for j in range(near.shape[1]):
-            if not near[i, j]:
-                continue
-            m, accepted = 0, 0
-            for r in range(COARSE_PX * i, COARSE_PX * (i + 1)):
-                for c in range(COARSE_PX * j, COARSE_PX * (j + 1)):
-                    inside = (r < n_rows) & (c < n_cols)
-                    z = z_um[r, c] if inside and passed[r, c] else far
-                    values[n, m] = z
-                    m += 1
-                    accepted += np.int64(z < far)
-            count[n] = accepted
-            n += 1
