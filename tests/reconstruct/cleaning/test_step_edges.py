@@ -98,6 +98,26 @@ def test_heights_continuing_from_bleeding_are_rejected() -> None:
     assert neighbour.step_edge[:, 76:].all()
 
 
+def islands(rise_um: float) -> NDArray[np.float32]:
+    """A large surface and a small island, both with ripples so high, over two windows long."""
+    z_um = (rise_um / 2 * np.sin(np.arange(200) * np.pi / 9)).astype(np.float32) * np.ones((160, 1), np.float32)
+    island = np.zeros(z_um.shape, np.bool_)
+    island[20:44, 160:184] = True
+    return np.where(island | (np.arange(200) < 140), z_um, np.float32(np.nan))
+
+
+def test_uneven_heights_count_where_many_others_support_them() -> None:
+    recipe = changed(Recipe(window=9, focus_width_um=10.0))
+    found = {}
+    for rise_um in (0.4, 6.0):
+        z_um = islands(rise_um)
+        settled = settle_cleaning([z_um], recipe, 4.0)
+        found[rise_um] = clean(z_um, 0.5, settled, 4.0, np.zeros(z_um.shape, np.bool_))
+    assert np.isfinite(found[0.4].raw_um[20:44, 160:184]).all()
+    assert found[6.0].outlier[24:40, 164:180].all()
+    assert np.isfinite(found[6.0].raw_um[10:150, 10:130]).all()
+
+
 def test_heights_next_to_a_step_belong_to_their_side(stair: Taken) -> None:
     guarded, open_ = (reconstruct(stair.stack, Recipe(window=9, edges=edges)) for edges in ("rims", "none"))
     wrong = [int((np.abs(h.z_raw_um - stair.scene.truth_um) > 4).sum()) for h in (guarded, open_)]

@@ -11,14 +11,19 @@ from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real
 
 
 def small_components(z: Float32s, max_step: Real, min_pixels: Int) -> Bools:
-    """Return a mask of finite pixels in components of fewer than `min_pixels`; bool [row, col].
+    """Return a mask of finite pixels in components of fewer than `min_pixels`, as in `component_sizes`."""
+    return np.isfinite(z) & (component_sizes(z, max_step) < min_pixels)
+
+
+def component_sizes(z: Float32s, max_step: Real) -> Int32s:
+    """Return the number of pixels of the component of each pixel, 1 where z is not finite; int32 [row, col].
 
     4-connectivity; two neighbours are connected if they differ by at most `max_step`.
     """
-    root, small = np.arange(z.size, dtype=np.int32), np.empty(z.shape, np.bool_)
+    root, sizes = np.arange(z.size, dtype=np.int32), np.empty(z.size, np.int32)
     _join_alike(z, np.float32(max_step), root)
-    _mark_small(z, root, np.zeros(z.size, np.int32), np.int64(min_pixels), small)
-    return small
+    _count_roots(root, np.zeros(z.size, np.int32), sizes)
+    return sizes.reshape(z.shape)
 
 
 def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:
@@ -54,14 +59,12 @@ def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
 
 
 @lean_kernel
-def _mark_small(z: Float32s, root: Int32s, size: Int32s, min_pixels: Int, small: Bools) -> None:
-    """Mark the finite pixels whose root has fewer than `min_pixels`; size: zeros, one for each pixel."""
-    n_cols = z.shape[1]
+def _count_roots(root: Int32s, count: Int32s, sizes: Int32s) -> None:
+    """Write the number of pixels that share the root of each pixel; count: zeros, one for each pixel."""
     for n in range(root.size):
-        size[root[n]] += 1
-    for r in range(z.shape[0]):
-        for c in range(n_cols):
-            small[r, c] = abs(z[r, c]) < np.inf and size[root[r * n_cols + c]] < min_pixels
+        count[root[n]] += 1
+    for n in range(root.size):
+        sizes[n] = count[root[n]]
 
 
 @lean_kernel

@@ -15,6 +15,9 @@ one are handled.
 
 The light of a defocused bright line ends in a disc, whose rim looks sharp everywhere: it creates a surface that falls
 away from the line as steeply as the aperture is wide. That is a jump within the window too.
+
+Unsupported heights: false ones that pass every other test are uneven, at the margin of what is measured, on small
+islands. None of this alone tells them apart; a height counts as an outlier where the product is large.
 """
 
 from __future__ import annotations
@@ -34,8 +37,8 @@ from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 from wafer_viewer.numerics.filters.local_planes import local_planes
-from wafer_viewer.numerics.filters.regions import border_components, narrow_parts, small_components
-from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest
+from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts, small_components
+from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
@@ -196,6 +199,33 @@ class JumpParameters:
 
 JUMP = JumpParameters()
 
+
+@dataclass(frozen=True, slots=True)
+class SupportParameters:
+    """Limits of the doubt in a height: unevenness times isolation.
+
+    Unevenness is the height range within about half a window, relative to the largest of one surface; isolation the sum
+    of the unmeasured share of a window and of the smallness of the island. Tuned on scenes drawn as those of
+    tests/truth/unseen.py, of other seeds: with limits of 0.4, 0.28, 0.22 and 0.15 the worst tenth of 150 scenes has
+    1.1, 0.7, 0.6 and 0.6 % false heights, 1.9 % without; 98.9, 98.4, 97.9 and 96.8 % of the heights are kept.
+
+    Parameters
+    ----------
+    most_doubt : float
+        Largest doubt in a height that counts.
+    island_windows : float, windows
+        Side of the square as large as an island of smallness 1.
+    smallest : float
+        Largest smallness.
+    """
+
+    most_doubt: float = 0.25
+    island_windows: float = 4.0
+    smallest: float = 2.0
+
+
+SUPPORT = SupportParameters()
+
 _BEYOND_UM = np.float32(1e9)
 """Magnitude of a height beyond all others, which stands for unmeasured ones."""
 
@@ -308,6 +338,9 @@ def clean(
         if step_edge.any():
             outlier |= _leftovers(raw, recipe, resolution_um) & ~side_is_known
             raw[outlier] = np.nan
+        if recipe.outliers.mode == "lattice":
+            outlier |= _unsupported(raw, pixel_um, recipe, resolution_um)
+            raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
 
@@ -358,6 +391,16 @@ def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bo
     A sliver of a slope caused by bleeding light may look flat by itself.
     """
     return _islands(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window))
+
+
+def _unsupported(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> Found:
+    """Return a mask of uneven heights that too few others support."""
+    measured, window = np.isfinite(z_um), int(recipe.window)
+    unevenness = height_range_um(z_um, window) / np.float32(_jump_limit_um(recipe, pixel_um, resolution_um))
+    sizes = component_sizes(z_um, OUTLIER_FLOOR_STEPS * resolution_um)
+    smallness = np.minimum(np.float32((SUPPORT.island_windows * window) ** 2) / sizes, np.float32(SUPPORT.smallest))
+    isolation = 1 - mean(measured, 2 * (window // 2) + 1) + smallness
+    return measured & (unevenness * isolation > SUPPORT.most_doubt)
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:
