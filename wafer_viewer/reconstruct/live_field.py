@@ -16,12 +16,13 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.numerics.jit import Int, UInt16s, lean_kernel
 from wafer_viewer.reconstruct.auto_tuning import search_of
 from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, row_parts
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
-from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks, stripes
+from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
 from wafer_viewer.reconstruct.preprocess.drift import measure_displacements, measure_sharpness
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
@@ -30,6 +31,8 @@ from wafer_viewer.reconstruct.preprocess.frames import clipped_from
 AHEAD_SHARE = 0.75
 """Share of the frames after which the motion between them is measured: the surface is behind most of them, and while
 the others arrive their measurement, which is faster than a camera of 60 frames a second, catches up."""
+LIVE_STRIPE_ROWS = 120
+"""Rows whose levels lie together, a multiple of `COARSE_PX`: each stripe measures the rows beside it once more."""
 WHITE_COUNTS = 255
 """White of 8-bit frames."""
 
@@ -49,13 +52,14 @@ class LiveField:
             raise ComputeError("A live field needs a recipe whose automatic values have been chosen.")
         if images.dtype != np.uint8 or not images.flags.c_contiguous:
             raise ComputeError(f"A live field needs whole pages of 8-bit grey, not {images.dtype}: wait for its stack.")
-        self._images, self._recipe = images, recipe
+        self._images, self._recipe = np.asarray(images), recipe  # each view of a memmap takes a microsecond more
         self._search = search_of(recipe, len(images), z_step_um)
         self._peaks = Peaks.empty(images.shape[1:], images.dtype, len(images))
         self._peaks.clipped[:] = 0
         cols = images.shape[2]
         self._stripes = [
-            (rows, FocusCurves.make(len(images), (_length(rows), cols))) for rows in stripes(images.shape[1])
+            (rows, FocusCurves.make(len(images), (_length(rows), cols)))
+            for rows in row_parts(images.shape[1], LIVE_STRIPE_ROWS)
         ]
         for _, curves in self._stripes:
             curves.best[:] = 0
@@ -93,9 +97,8 @@ class LiveField:
             levels, coarse = curves.levels[first:stop], out.coarse[first:stop]
             volume = Volume(levels, self._best[:n], self._peak[:n], self._clipped[:n], coarse)
             fill_volume(source, self._search, self._rows, volume)
-            out.clipped[:] += volume.clipped
-            _keep_better(curves, volume.best, volume.peak + np.uint16(first))
-            self._add_silhouettes(rows, source, first)
+            _include(volume.best, volume.peak, volume.clipped, first, curves.best, curves.peak, out.clipped)
+        self._add_silhouettes(slots)
         for slot in slots.tolist():
             self._samples.take(slot, self._images[slot])
             if self._recipe.drift != "none":
@@ -110,18 +113,18 @@ class LiveField:
         slots = np.flatnonzero(self._came)
         if self._recipe.drift == "none" or np.ptp(slots) >= slots.size:
             return
-        arrived: Any = np.asarray(self._images)[slots[0] : slots[-1] + 1]
+        arrived: Any = self._images[slots[0] : slots[-1] + 1]
         measure_displacements(
             lambda rows, cols: arrived[:, rows, cols], self._images.shape[1:], slots, self._samples.motions
         )
 
-    def _add_silhouettes(self, rows: slice, source: StackSource, first: int) -> None:
-        """Add the silhouettes in the frames of a source, of which the first is `first`, to those of some rows."""
+    def _add_silhouettes(self, slots: NDArray[np.int64]) -> None:
+        """Add the silhouettes in some frames."""
         if self._silhouette is None:
             return
-        found = Silhouette.empty((_length(rows), self._images.shape[2]))
-        silhouette_block(source, first, 1, DARK_SHARE_OF_WHITE * source.clipped_counts, self._silhouette_rows, found)
-        self._silhouette.rows(rows).include(found)
+        source = self._source(slice(0, self._images.shape[1]), slots)
+        dark_counts = DARK_SHARE_OF_WHITE * source.clipped_counts
+        silhouette_block(source, int(slots[0]), 1, dark_counts, self._silhouette_rows, self._silhouette)
 
     def surface(self, stack: FieldStack) -> HeightMap:
         """Return the height map once all frames have arrived; stack: the same pages with their z.
@@ -151,11 +154,28 @@ class LiveField:
         return StackSource.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
 
 
-def _keep_better(curves: FocusCurves, best: NDArray[np.uint16], peak: NDArray[np.uint16]) -> None:
-    """Update best level and peak frame; of two equally sharp frames the lower one wins, in any arrival order."""
-    better = (best > curves.best) | ((best == curves.best) & (peak < curves.peak))
-    np.copyto(curves.best, best, where=better)
-    np.copyto(curves.peak, peak, where=better)
+@lean_kernel
+def _include(
+    best: UInt16s,
+    peak: UInt16s,
+    clipped: UInt16s,
+    first: Int,
+    best_of_all: UInt16s,
+    peak_of_all: UInt16s,
+    clipped_of_all: UInt16s,
+) -> None:
+    """Update best level, peak frame and clipped frame count of a stripe by those of frames from `first` on.
+
+    Of two equally sharp frames the lower one wins, in any arrival order.
+    """
+    u = np.uint16
+    for y in range(best.shape[0]):
+        for x in range(best.shape[1]):
+            q, old, k, at = best[y, x], best_of_all[y, x], u(peak[y, x] + u(first)), peak_of_all[y, x]
+            better = (q > old) | ((q == old) & (k < at))
+            best_of_all[y, x] = q if better else old
+            peak_of_all[y, x] = k if better else at
+            clipped_of_all[y, x] = u(clipped_of_all[y, x] + clipped[y, x])
 
 
 def _length(part: slice) -> int:

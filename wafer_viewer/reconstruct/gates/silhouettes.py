@@ -84,14 +84,6 @@ class Silhouette(NamedTuple):
         half = slice(part.start // 2, half_size(part.stop))
         return Silhouette(self.contrast[half], self.frame[half], self.standing[half])
 
-    def include(self, other: Silhouette) -> None:
-        """Add the silhouettes of other frames; of two equal contrasts that of the lower frame counts."""
-        sharper = other.contrast > self.contrast
-        sharper |= (other.contrast == self.contrast) & (other.frame < self.frame)
-        np.copyto(self.contrast, other.contrast, where=sharper)
-        np.copyto(self.frame, other.frame, where=sharper)
-        self.standing[:] += other.standing
-
 
 def half_size(pixels: int) -> int:
     """Return the size of the silhouette map for a number of rows or columns."""
@@ -119,7 +111,8 @@ def silhouette_block(
 ) -> None:
     """Accumulate the silhouettes of a block in `out`, which is empty initially; every: 1 for all frames, 2 for half.
 
-    first: index in the stack of the first frame of the source. Later frames may be added by another call.
+    first: index in the stack of the first frame of the source. Other frames may be added by another call, in any order:
+    of two equal contrasts that of the lower frame counts.
 
     The block must begin at an even row and column of the field, so that the maps of blocks fit together.
     """
@@ -183,6 +176,7 @@ def _note(change: Float32s, k: Int, every: Int, contrast: Float32s, frame: UInt1
     centre, step = u(k), u(every)
     for x in range(change.size):
         d, most, at = change[x], contrast[x], frame[x]
-        contrast[x] = d if d > most else most
-        frame[x] = centre if d > most else at
+        higher = (d > most) | ((d == most) & (centre < at))
+        contrast[x] = d if higher else most
+        frame[x] = centre if higher else at
         standing[x] = u(standing[x] + (step if d >= least else u(0)))
