@@ -63,6 +63,7 @@ def test_of_equal_frames_the_lowest_counts_in_any_order(stack: FieldStack) -> No
         for first, stop in chunks:
             field.take(first, stop)
     assert all(field._silhouette.frame.max() <= 8 for field in fields)
+    assert all(curves.peak.max() <= 8 for field in fields for curves in field._wide.curves)
     for layers in zip(*(field._silhouette for field in fields), strict=True):
         np.testing.assert_array_equal(layers[1:], [layers[0]] * 2)
 

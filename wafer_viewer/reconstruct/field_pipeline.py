@@ -31,6 +31,7 @@ from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import (
     FOCUS_WIDTH_DEPTHS,
     PROPAGATED_PEAK,
+    WideLevels,
     search_field,
     wide_heights,
 )
@@ -108,12 +109,13 @@ def reconstruct_from_peaks(
     threads: int | None = None,
     progress: Progress = silent,
     silhouette: Silhouette | None = None,
+    wide: WideLevels | None = None,
 ) -> ReconstructedField:
     """Run the stages after the peak search; progress continues from `SEARCH_SHARE` to 1.
 
-    silhouette: that of the frames, where it is known already.
+    silhouette, wide: those of the frames, where they are known already.
     """
-    gated = gate_peaks(field, peaks)
+    gated = gate_peaks(field, peaks, wide)
     corrected = correct_edges(field, gated, threads, silhouette)
     progress(EDGES_SHARE)
     cleaned = clean_heights(field, corrected)
@@ -175,10 +177,11 @@ class GatedPeaks:
     origin: NDArray[np.uint8]
 
 
-def gate_peaks(field: PreparedField, peaks: Peaks) -> GatedPeaks:
-    """Test the peaks against noise, rivals, the ends of the sweep and a wider window."""
+def gate_peaks(field: PreparedField, peaks: Peaks, wide: WideLevels | None = None) -> GatedPeaks:
+    """Test the peaks against noise, rivals, the ends of the sweep and a wider window, whose levels may be known."""
     frames, search, gate = field.frames, field.tuned.search, field.tuned.gate
-    wide_um = wide_heights(peaks, frames.z_um, search) if np.isfinite(gate.window_tolerance_um) else None
+    compared = np.isfinite(gate.window_tolerance_um)
+    wide_um = wide_heights(peaks, frames.z_um, search, known=wide) if compared else None
     tests = checks(peaks, gate, frames.n_frames, wide_um)
     origin = first_failed(tests)
     np.copyto(origin, np.uint8(Origin.TOO_FEW_FRAMES), where=~frames.covered(search.margin_px))

@@ -16,13 +16,18 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.numerics.jit import Int, UInt16s, lean_kernel
 from wafer_viewer.reconstruct.auto_tuning import search_of
 from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, row_parts
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
-from wafer_viewer.reconstruct.focus.peak_search import fill_volume, find_peaks
+from wafer_viewer.reconstruct.focus.peak_search import (
+    WideLevels,
+    fill_volume,
+    find_peaks,
+    include_frames,
+    wide_cells,
+)
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
 from wafer_viewer.reconstruct.preprocess.drift import measure_displacements, measure_sharpness
 from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
@@ -69,6 +74,7 @@ class LiveField:
         kernels = focus_kernels(self._search.measure)
         self._rows = kernels.make_rows(cols, self._search.window, images.dtype)
         self._spots = InterpolationScratch.make(cols, kernels.table(images.dtype))
+        self._wide = WideLevels(self._peaks.coarse, wide_cells(self._search.window)) if recipe.compare_windows else None
         looks_for_edges = recipe.edges != "none"
         self._silhouette = Silhouette.empty(images.shape[1:]) if looks_for_edges else None
         self._silhouette_rows = SilhouetteRows.make(cols, images.dtype)
@@ -97,8 +103,10 @@ class LiveField:
             levels, coarse = curves.levels[first:stop], out.coarse[first:stop]
             volume = Volume(levels, self._best[:n], self._peak[:n], self._clipped[:n], coarse)
             fill_volume(source, self._search, self._rows, volume)
-            _include(volume.best, volume.peak, volume.clipped, first, curves.best, curves.peak, out.clipped)
+            include_frames(volume.best, volume.peak, volume.clipped, first, curves.best, curves.peak, out.clipped)
         self._add_silhouettes(slots)
+        if self._wide is not None:
+            self._wide.take(first, stop)
         for slot in slots.tolist():
             self._samples.take(slot, self._images[slot])
             if self._recipe.drift != "none":
@@ -134,7 +142,8 @@ class LiveField:
         field = prepare_field(stack, self._recipe, self._samples)
         if not self._is_complete(field):
             return reconstruct_from_peaks(field, search_peaks(field, threads=1)).height_map
-        return reconstruct_from_peaks(field, self._found(field), silhouette=self._silhouette).height_map
+        peaks = self._found(field)
+        return reconstruct_from_peaks(field, peaks, silhouette=self._silhouette, wide=self._wide).height_map
 
     def _is_complete(self, field: PreparedField) -> bool:
         """Return whether all frames were measured, unmodified, with the measure, window and camera noise in use."""
@@ -152,30 +161,6 @@ class LiveField:
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:
         return StackSource.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
-
-
-@lean_kernel
-def _include(
-    best: UInt16s,
-    peak: UInt16s,
-    clipped: UInt16s,
-    first: Int,
-    best_of_all: UInt16s,
-    peak_of_all: UInt16s,
-    clipped_of_all: UInt16s,
-) -> None:
-    """Update best level, peak frame and clipped frame count of a stripe by those of frames from `first` on.
-
-    Of two equally sharp frames the lower one wins, in any arrival order.
-    """
-    u = np.uint16
-    for y in range(best.shape[0]):
-        for x in range(best.shape[1]):
-            q, old, k, at = best[y, x], best_of_all[y, x], u(peak[y, x] + u(first)), peak_of_all[y, x]
-            better = (q > old) | ((q == old) & (k < at))
-            best_of_all[y, x] = q if better else old
-            peak_of_all[y, x] = k if better else at
-            clipped_of_all[y, x] = u(clipped_of_all[y, x] + clipped[y, x])
 
 
 def _length(part: slice) -> int:

@@ -323,13 +323,63 @@ def wide_cells(window: int) -> int:
     return 2 * ((window - 1) // (2 * COARSE_PX)) + 1
 
 
+class WideLevels:
+    """Averages of coarse levels over `cells` x `cells`, and their best frames, from frames in any order.
+
+    coarse: uint16 [k, row, col], the coarse volume of the field, filled before `take`.
+    """
+
+    def __init__(self, coarse: NDArray[np.uint16], cells: int) -> None:
+        n_frames, n_rows, cols = coarse.shape
+        self._coarse, self._cells, self._line = coarse, cells, aligned((cols + cells - 1,), np.int32)
+        self.curves = [FocusCurves.make(n_frames, (_length(rows), cols)) for rows in row_parts(n_rows, _WIDE_ROWS)]
+        self._new, self._none = FocusCurves.make(0, self.curves[0].best.shape), np.zeros_like(self.curves[0].best)
+
+    def take(self, first: int, stop: int) -> None:
+        """Add the frames first ... stop - 1, each once."""
+        for n, curves in enumerate(self.curves):
+            n_rows = len(curves.best)
+            levels, (_, best, peak) = curves.levels[first:stop], self._new
+            new, none = FocusCurves(levels, best[:n_rows], peak[:n_rows]), self._none[:n_rows]
+            _average_levels(self._coarse[first:stop], self._cells, n * _WIDE_ROWS, self._line, new)
+            include_frames(new.best, new.peak, none, first, curves.best, curves.peak, none)
+
+
+@lean_kernel
+def include_frames(
+    best: UInt16s,
+    peak: UInt16s,
+    clipped: UInt16s,
+    first: Int,
+    best_of_all: UInt16s,
+    peak_of_all: UInt16s,
+    clipped_of_all: UInt16s,
+) -> None:
+    """Update best level, peak frame and clipped frame count of a block by those of frames from `first` on.
+
+    Of two equally sharp frames the lower one wins, in any arrival order.
+    """
+    u = np.uint16
+    for y in range(best.shape[0]):
+        for x in range(best.shape[1]):
+            q, old, k, at = best[y, x], best_of_all[y, x], u(peak[y, x] + u(first)), peak_of_all[y, x]
+            better = (q > old) | ((q == old) & (k < at))
+            best_of_all[y, x] = q if better else old
+            peak_of_all[y, x] = k if better else at
+            clipped_of_all[y, x] = u(clipped_of_all[y, x] + clipped[y, x])
+
+
 def wide_heights(
-    peaks: Peaks, z_um: NDArray[np.float64], search: Search, cells: int | None = None
+    peaks: Peaks,
+    z_um: NDArray[np.float64],
+    search: Search,
+    cells: int | None = None,
+    known: WideLevels | None = None,
 ) -> NDArray[np.float32]:
     """Return z in um [row, col] of a field's peaks from coarse levels averaged over `cells` x `cells`.
 
     All pixels of a 4 x 4 cell share a height. The window in pixels is that of the search plus 4 `cells` - 1; beyond the
-    border the border levels repeat. `peaks` must have its coarse volume.
+    border the border levels repeat. `peaks` must have its coarse volume; known: its averages, where they are made.
     """
     n_frames, n_rows, cols = peaks.coarse.shape
     cells, z_um = cells or wide_cells(search.window), np.asarray(z_um, np.float64)
@@ -337,12 +387,18 @@ def wide_heights(
     spots = InterpolationScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
     line, window = aligned((cols + cells - 1,), np.int32), search.centring(z_um)
     found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
-    room = FocusCurves.make(n_frames, (min(n_rows, _WIDE_ROWS), cols))
-    for rows in row_parts(n_rows, _WIDE_ROWS):
-        part, curves = found.rows(rows), room.cut(rows.stop - rows.start)
-        _average_levels(peaks.coarse, cells, rows.start, line, curves)
+    room = FocusCurves.make(0 if known else n_frames, (min(n_rows, _WIDE_ROWS), cols))
+    for n, rows in enumerate(row_parts(n_rows, _WIDE_ROWS)):
+        part = found.rows(rows)
+        curves = known.curves[n] if known else room.cut(_length(rows))
+        if known is None:
+            _average_levels(peaks.coarse, cells, rows.start, line, curves)
         find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part, window)
     return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)
+
+
+def _length(part: slice) -> int:
+    return part.stop - part.start
 
 
 def _no_grey(n_frames: int, part: Peaks) -> StackSource:
