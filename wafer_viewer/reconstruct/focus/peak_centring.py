@@ -82,10 +82,11 @@ class CentringWindow(NamedTuple):
 
     step_um: unit of all distances, the median step; sigma: standard deviation in steps; distance, weight: float32
     [frame, tap], distance of a tap from the frame, and its Gaussian weight times the share of z that it stands for, 0
-    outside of the stack; even: the same for all frames, so that `taps` holds them already. at: frame that the taps
-    surround; shift: estimate as a distance from it; moved: its last move; lowest, highest: distances of the ends of the
-    stack; taps: float32 [distance, weight, modulation][tap, pixel]; sums: float32 [sum, pixel], of weight times the
-    powers 0 to 4 of the distance from the estimate, then of weight and modulation times the powers 0 to 2.
+    outside of the stack; even: the same for all frames, so that `taps` holds them already; ends: float32 [2, frame],
+    distances of the ends of the stack. at: frame that the taps surround; shift: estimate as a distance from it; moved:
+    its last move; lowest, highest: distances of the ends of the stack; taps: float32 [distance, weight, modulation]
+    [tap, pixel]; sums: float32 [sum * `_LANES` + pixel], of weight times the powers 0 to 4 of the distance from the
+    estimate, then of weight and modulation times the powers 0 to 2: one row, so that a compiler sees them apart.
     """
 
     step_um: float
@@ -93,6 +94,7 @@ class CentringWindow(NamedTuple):
     even: bool
     distance: Float32s
     weight: Float32s
+    ends: Float32s
     at: Int64s
     shift: Float32s
     moved: Float32s
@@ -106,6 +108,7 @@ class CentringWindow(NamedTuple):
         """Return the window for frames at `z_um`, with taps that cover its reach from every frame."""
         step_um, even, distance, weight, even_taps = _taps_of(np.asarray(z_um, np.float64).tobytes(), sigma)
         taps = aligned((3, distance.shape[1], _LANES), np.float32)
+        ends = ((np.asarray(z_um, np.float64)[[0, -1], None] - z_um) / step_um).astype(np.float32)
         if even:
             taps[:2] = even_taps[:, :, None]
         shift, moved, lowest, highest = (aligned((_LANES,), np.float32) for _ in range(4))
@@ -115,13 +118,14 @@ class CentringWindow(NamedTuple):
             even,
             distance,
             weight,
+            ends,
             aligned((_LANES,), np.int64),
             shift,
             moved,
             lowest,
             highest,
             taps,
-            aligned((8, _LANES), np.float32),
+            aligned((8 * _LANES,), np.float32),
         )
 
 
@@ -163,7 +167,7 @@ def centre_row(
     the independent noise of levels, NaN where the curve does not bend.
     """
     for start in range(0, found_um.size, _LANES):
-        _begin(best, start, z_um, window)
+        _begin(best, start, window)
         for turn in range(_TURNS):
             if turn == 0:
                 _take_all_taps(levels, y, start, window, modulation)
@@ -173,7 +177,7 @@ def centre_row(
                 _sum_taps_at_frames(window)
             else:
                 _sum_taps(window)
-            if _move(window) < _STANDING:
+            if not _move(window):
                 break
         for i in range(min(_LANES, found_um.size - start)):
             found_um[start + i] = z_um[window.at[i]] + window.shift[i] * window.step_um
@@ -187,12 +191,22 @@ def _take_all_taps(levels: UInt16s, y: Int, start: Int, window: CentringWindow, 
     The levels of a pixel lie a stripe apart, which is a multiple of a page or nearly so: they compete for a few lines
     of the cache, and neighbouring pixels share these lines if they are read together.
     """
-    last_k, last_x, n_taps = levels.shape[0] - 1, levels.shape[2] - 1, window.taps.shape[1]
-    for j in range(n_taps):
-        focus = window.taps[2, j]
-        for i in range(_LANES):
-            k = min(max(window.at[i] + j - n_taps // 2, 0), last_k)
-            focus[i] = modulation[levels[k, y, min(start + i, last_x)]]
+    n_frames, n_rows, n_cols = levels.shape
+    n_taps, u = window.taps.shape[1], np.uint64  # an unsigned index is not tested for counting from the end
+    half, plane, every, lowest, highest = n_taps // 2, u(n_rows * n_cols), levels.reshape(-1), n_frames, np.int64(-1)
+    for i in range(_LANES):
+        lowest, highest = min(lowest, window.at[i]), max(highest, window.at[i])
+    if lowest >= half and highest < n_frames - half and start + _LANES <= n_cols:
+        for j in range(n_taps):
+            focus, first = window.taps[2, j], u(y * n_cols + start)
+            for i in range(_LANES):
+                focus[i] = modulation[every[u(window.at[i] + j - half) * plane + first + u(i)]]
+    else:
+        for j in range(n_taps):
+            focus = window.taps[2, j]
+            for i in range(_LANES):
+                k = min(max(window.at[i] + j - half, 0), n_frames - 1)
+                focus[i] = modulation[levels[k, y, min(start + i, n_cols - 1)]]
     if not window.even:
         for j in range(n_taps):
             for i in range(_LANES):
@@ -214,18 +228,17 @@ def _take_taps(levels: UInt16s, y: Int, start: Int, i: Int, window: CentringWind
 
 
 @lean_part
-def _begin(best: UInt16s, start: Int, z_um: Float64s, window: CentringWindow) -> None:
+def _begin(best: UInt16s, start: Int, window: CentringWindow) -> None:
     for i in range(_LANES):
-        _surround_by(np.int64(best[min(start + i, best.size - 1)]), i, z_um, window)
+        _surround_by(np.int64(best[min(start + i, best.size - 1)]), i, window)
         window.shift[i], window.moved[i] = 0, _STANDING
 
 
 @inline_kernel
-def _surround_by(k: Int, i: Int, z_um: Float64s, window: CentringWindow) -> None:
+def _surround_by(k: Int, i: Int, window: CentringWindow) -> None:
     """Let the taps of pixel i surround frame k."""
     window.at[i] = k
-    window.lowest[i] = (z_um[0] - z_um[k]) / window.step_um
-    window.highest[i] = (z_um[z_um.size - 1] - z_um[k]) / window.step_um
+    window.lowest[i], window.highest[i] = window.ends[0, k], window.ends[1, k]
 
 
 @lean_part
@@ -241,7 +254,7 @@ def _surround(
                 k -= 1
             while k < z_um.size - 1 and at_um > 0.5 * (z_um[k] + z_um[k + 1]):
                 k += 1
-            _surround_by(k, i, z_um, window)
+            _surround_by(k, i, window)
             window.shift[i] = (at_um - z_um[k]) / window.step_um
             _take_taps(levels, y, start, i, window, modulation)
 
@@ -249,18 +262,19 @@ def _surround(
 @lean_part
 def _is_inside(window: CentringWindow) -> bool:
     """Return whether the windows of all pixels, before they move, lie within the stack."""
-    room = window.highest[0]
+    edge, outside = window.taps[0, window.taps.shape[1] - 1, 0], np.int32(0)
     for i in range(_LANES):
-        room = min(room, min(-window.lowest[i], window.highest[i]))
-    return room >= window.taps[0, window.taps.shape[1] - 1, 0]
+        inside = (-window.lowest[i] >= edge) & (window.highest[i] >= edge)
+        outside = np.int32(outside + np.int32(not inside))
+    return outside == 0
 
 
 @lean_part
 def _sum_taps_at_frames(window: CentringWindow) -> None:
     """Apply `_sum_taps` to windows of an even sweep that have not moved: their weights are those of the taps."""
     s0, s1, s2, s3, s4 = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-    window.sums[:] = 0
-    v0, v1, v2 = window.sums[5], window.sums[6], window.sums[7]
+    n, sums = _LANES, window.sums
+    sums[:] = 0
     for j in range(window.taps.shape[1]):
         u, g, focus = window.taps[0, j, 0], window.taps[1, j, 0], window.taps[2, j]
         gu = g * u
@@ -268,12 +282,11 @@ def _sum_taps_at_frames(window: CentringWindow) -> None:
         s0, s1, s2, s3, s4 = s0 + g, s1 + gu, s2 + guu, s3 + guu * u, s4 + guu * u * u
         for i in range(_LANES):
             v = focus[i]
-            v0[i] += g * v
-            v1[i] += gu * v
-            v2[i] += guu * v
+            sums[5 * n + i] += g * v
+            sums[6 * n + i] += gu * v
+            sums[7 * n + i] += guu * v
     for i in range(_LANES):
-        window.sums[0, i], window.sums[1, i], window.sums[2, i] = s0, s1, s2
-        window.sums[3, i], window.sums[4, i] = s3, s4
+        sums[i], sums[n + i], sums[2 * n + i], sums[3 * n + i], sums[4 * n + i] = s0, s1, s2, s3, s4
 
 
 @lean_part
@@ -284,10 +297,8 @@ def _sum_taps(window: CentringWindow) -> None:
     of the stack the window is cut at the same distance on both sides, so that a symmetric curve keeps its middle.
     """
     f = np.float32
-    zero, one = f(0), f(1)
-    window.sums[:] = 0
-    p0, p1, p2, p3, p4 = window.sums[0], window.sums[1], window.sums[2], window.sums[3], window.sums[4]
-    v0, v1, v2 = window.sums[5], window.sums[6], window.sums[7]
+    zero, one, n, sums = f(0), f(1), _LANES, window.sums
+    sums[:] = 0
     shift, lowest, highest = window.shift, window.lowest, window.highest
     rate = f(_PER_OCTAVE / window.sigma**2)
     for j in range(window.taps.shape[1]):
@@ -299,44 +310,54 @@ def _sum_taps(window: CentringWindow) -> None:
             g = weight[i] * min(max(room - abs(u), zero), one) * _quick_exp2(d * t * rate)
             gu = g * u
             guu = gu * u
-            p0[i] += g
-            p1[i] += gu
-            p2[i] += guu
-            p3[i] += guu * u
-            p4[i] += guu * u * u
-            v0[i] += g * v
-            v1[i] += gu * v
-            v2[i] += guu * v
+            sums[i] += g
+            sums[n + i] += gu
+            sums[2 * n + i] += guu
+            sums[3 * n + i] += guu * u
+            sums[4 * n + i] += guu * u * u
+            sums[5 * n + i] += g * v
+            sums[6 * n + i] += gu * v
+            sums[7 * n + i] += guu * v
 
 
 @lean_part
-def _move(window: CentringWindow) -> Real:
-    """Move all windows to the vertex of the parabola that fits best in them; return the largest move in steps.
+def _move(window: CentringWindow) -> bool:
+    """Move all windows to the vertex of the parabola that fits best in them; return whether any is still moving.
 
     In an even sweep this is a step of Newton towards the centre of gravity; where distances vary, the parabola allows
     for it. A window that stands is left alone, so that no pixel depends on those beside it.
     """
     f = np.float32
-    shift, moved, sums, standing = window.shift, window.moved, window.sums, f(_STANDING)
-    most, blind = f(_LARGEST_MOVE * window.sigma), f(_BLIND_MOVE * window.sigma)
-    flat, zero, one, two = f(_FLAT * window.sigma**4), f(0), f(1), f(2)
-    largest = zero
+    shift, moved, lowest, highest, sums = window.shift, window.moved, window.lowest, window.highest, window.sums
+    most, blind, standing = f(_LARGEST_MOVE * window.sigma), f(_BLIND_MOVE * window.sigma), f(_STANDING)
+    flat, zero, one = f(_FLAT * window.sigma**4), f(0), f(1)
     for i in range(_LANES):
-        t, p1, p2 = shift[i], sums[1, i], sums[2, i]
-        per_weight = one / (sums[0, i] if sums[0, i] > 0 else one)
-        mean = sums[5, i] * per_weight
-        y1, y2 = sums[6, i] - mean * p1, sums[7, i] - mean * p2
-        s11, s12, s22 = p2 - p1 * p1 * per_weight, sums[3, i] - p1 * p2 * per_weight, sums[4, i] - p2 * p2 * per_weight
-        bend, slope = two * (y1 * s12 - y2 * s11), y1 * s22 - y2 * s12
-        least = flat * sums[5, i]
+        t, least = shift[i], flat * sums[5 * _LANES + i]
+        bend, slope, _, _ = _parabola(sums, i)
         bends = bend > least
         ahead = blind if slope > least else (-blind if slope < -least else zero)
-        move = slope / (bend if bends else one) if bends else ahead
-        found = min(max(t + min(max(move, -most), most), window.lowest[i]), window.highest[i])
+        newton = slope / (bend if bends else one)
+        move = newton if bends else ahead
+        found = min(max(t + min(max(move, -most), most), lowest[i]), highest[i])
         found = found if abs(moved[i]) >= standing else t
         shift[i], moved[i] = found, found - t
-        largest = max(largest, abs(moved[i]))
-    return largest
+    moving = np.int32(0)  # the largest of floats would be searched for one by one
+    for i in range(_LANES):
+        moving = np.int32(moving + np.int32(abs(moved[i]) >= standing))
+    return moving > 0
+
+
+@inline_kernel
+def _parabola(sums: Float32s, i: Int) -> tuple[Real, Real, Real, Real]:
+    """Return bend, slope, mean and second moment of the modulation in the window of pixel i."""
+    n, one, two = _LANES, np.float32(1), np.float32(2)
+    p0, p1, p2 = sums[i], sums[n + i], sums[2 * n + i]
+    per_weight = one / (p0 if p0 > 0 else one)
+    mean = sums[5 * n + i] * per_weight
+    y1, y2 = sums[6 * n + i] - mean * p1, sums[7 * n + i] - mean * p2
+    s11, s12 = p2 - p1 * p1 * per_weight, sums[3 * n + i] - p1 * p2 * per_weight
+    s22 = sums[4 * n + i] - p2 * p2 * per_weight
+    return two * (y1 * s12 - y2 * s11), y1 * s22 - y2 * s12, mean, s22
 
 
 @lean_part
@@ -344,16 +365,12 @@ def _spread(window: CentringWindow, mean_level: Float32s, leverage_um: Float32s)
     """Write the mean level, and how far noise of the levels moves the vertex of the parabola."""
     f = np.float32
     sums, step_um, none = window.sums, f(window.step_um), f(np.nan)
-    zero, one, two, least = f(0), f(1), f(2), f(_FLAT)
+    zero, one, least = f(0), f(1), f(_FLAT)
     for i in range(min(_LANES, leverage_um.size)):
-        p1, p2 = sums[1, i], sums[2, i]
-        per_weight = one / (sums[0, i] if sums[0, i] > 0 else one)
-        mean = sums[5, i] * per_weight
-        y1, y2 = sums[6, i] - mean * p1, sums[7, i] - mean * p2
-        s11, s12, s22 = p2 - p1 * p1 * per_weight, sums[3, i] - p1 * p2 * per_weight, sums[4, i] - p2 * p2 * per_weight
-        bend = two * (y1 * s12 - y2 * s11)
-        of_slope = _SLOPE_PER_OCTAVE * mean * s22 * np.sqrt(p2)
-        leverage_um[i] = step_um * of_slope / bend if bend > zero else none
+        bend, _, mean, s22 = _parabola(sums, i)
+        of_slope = _SLOPE_PER_OCTAVE * mean * s22 * np.sqrt(sums[2 * _LANES + i])
+        leverage = step_um * of_slope / (bend if bend > zero else one)
+        leverage_um[i] = leverage if bend > zero else none
         mean_level[i] = _OCTAVES * quick_log2(mean if mean > least else least)
 
 
