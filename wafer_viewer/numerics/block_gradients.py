@@ -39,25 +39,70 @@ _LEAST_BLOCKS_BENT = 8
 class BlockGradients:
     """Statistics of the blocks, all [n block].
 
-    index: [n, 2]; place: [n, 2] in -1 ... 1; pixels: number; first, second, both: variances and covariance of the two
-    pictures; pull [n, 2] and stiffness [n, 2, 2]: gradient and Hessian of the lag; trust: weight of a block's slopes in
-    the Hessian. total_pull [2], total_stiffness [2, 2]: sums over the blocks.
-    grid: rows and columns of blocks; correlation: within all of them, -1 ... 1.
+    index: row and column of a block, [n, 2]; table, total: what the properties show, by block and over all of them;
+    grid: rows and columns of blocks.
     """
 
     index: Int64s
-    place: Numbers
-    pixels: Numbers
-    first: Numbers
-    second: Numbers
-    both: Numbers
-    pull: Numbers
-    stiffness: Numbers
-    trust: Numbers
-    total_pull: Numbers
-    total_stiffness: Numbers
+    table: Numbers
+    total: Numbers
     grid: tuple[int, int]
-    correlation: float
+
+    @property
+    def place(self) -> Numbers:
+        """Middle of a block, -1 ... 1, [n, 2]."""
+        return self.table[:, :2]
+
+    @property
+    def pixels(self) -> Numbers:
+        """Number of known pixels."""
+        return self.table[:, 2]
+
+    @property
+    def first(self) -> Numbers:
+        """Variance of the first picture, times the pixels."""
+        return self.table[:, 3]
+
+    @property
+    def second(self) -> Numbers:
+        """Variance of the second picture, times the pixels."""
+        return self.table[:, 4]
+
+    @property
+    def both(self) -> Numbers:
+        """Their covariance, times the pixels."""
+        return self.table[:, 5]
+
+    @property
+    def pull(self) -> Numbers:
+        """Gradient of the lag, [n, 2]."""
+        return self.table[:, 6:8]
+
+    @property
+    def stiffness(self) -> Numbers:
+        """Hessian of the lag, [n, 2, 2]."""
+        return self.table[:, 8:12].reshape(len(self.table), 2, 2)
+
+    @property
+    def trust(self) -> Numbers:
+        """Weight of a block's slopes in the Hessian."""
+        return self.table[:, 12]
+
+    @property
+    def total_pull(self) -> Numbers:
+        """Sum of the gradients, [2]."""
+        return self.total[:2]
+
+    @property
+    def total_stiffness(self) -> Numbers:
+        """Sum of the Hessians, [2, 2]."""
+        return self.total[2:6].reshape(2, 2)
+
+    @property
+    def correlation(self) -> float:
+        """Correlation within all blocks, -1 ... 1."""
+        first, second, both = self.total[6:9].tolist()
+        return both / (first * second) ** 0.5 if first * second > 0 else 0.0
 
 
 def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_filled: float) -> BlockGradients:
@@ -72,27 +117,7 @@ def block_gradients(sums: Numbers, noise: float, least_pixels: float, least_fill
     n = sums.shape[0] * sums.shape[1]
     index, table, room, total = np.empty((n, 2), np.int64), np.empty((n, 13)), np.empty((3, n)), np.zeros(9)
     n = _fill_gradients(sums, noise, least_pixels, least_filled, index, table, total, room)
-    t = table[:n]
-    pixels, first, second, both = t[:, 2], t[:, 3], t[:, 4], t[:, 5]
-    pull, stiffness, trust = t[:, 6:8], t[:, 8:12].reshape(n, 2, 2), t[:, 12]
-    total_stiffness = total[2:6].reshape(2, 2)
-    grid, energy = (sums.shape[0], sums.shape[1]), float(total[6] * total[7])
-    correlation = float(total[8]) / energy**0.5 if energy > 0 else 0.0
-    return BlockGradients(
-        index=index[:n],
-        place=t[:, :2],
-        pixels=pixels,
-        first=first,
-        second=second,
-        both=both,
-        pull=pull,
-        stiffness=stiffness,
-        trust=trust,
-        total_pull=total[:2],
-        total_stiffness=total_stiffness,
-        grid=grid,
-        correlation=correlation,
-    )
+    return BlockGradients(index[:n], table[:n], total, (sums.shape[0], sums.shape[1]))
 
 
 @lean_kernel

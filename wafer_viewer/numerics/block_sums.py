@@ -22,6 +22,10 @@ N_PRODUCTS = 21
 """Number of different products of two of them."""
 N_SHADING = 3
 """Number of terms of the brightness of a block: 1, row and column."""
+_TOGETHER = 4
+"""Number of rows whose products are added together."""
+_STRIDE = 32
+"""Rows of products are a multiple of so many pixels wide: what is left over is not computed by vector instructions."""
 _SIGMA_PX = 0.85
 """Standard deviation of the Gaussian interpolation kernel, wide enough for equal noise at every position, px."""
 
@@ -47,6 +51,13 @@ def _fill_taps(part: float, out: Float32s) -> None:
         out[0, k], out[1, k] = value, value * (away - mean) / (square / total - mean * mean)
 
 
+def smoothed(picture: Float32s) -> Float32s:
+    """Return a picture as `block_sums` compares it with another, without a rim of 3 pixels."""
+    out = np.empty((max(0, picture.shape[0] - 2 * REACH), max(0, picture.shape[1] - 2 * REACH)), np.float32)
+    _fill_smoothed(picture, np.empty((2, 2 * REACH + 1), np.float32), np.empty(picture.shape[1], np.float32), out)
+    return out
+
+
 def block_sums(
     first: Float32s,
     first_valid: Float32s,
@@ -57,24 +68,24 @@ def block_sums(
 ) -> NDArray[np.float64]:
     """Return the block sums of all products of (1, row, col, first, second, slope down, slope right).
 
-    float64 [block row, block col, 7, 7], over blocks of about side x side pixels. Pixel (r, c) of the first is compared
-    with the second at (r - lag row, c - lag col), both smoothed equally; the slopes are those of the second. Rows and
-    columns are counted from the middle of a block, in its sides. Pixels unknown in either (valid: 1 or 0) and a rim of
-    3 do not count. Empty without common pixels.
+    float64 [block row, block col, 7, 7], over blocks of about side x side pixels. first: `smoothed`; pixel (r, c) of it
+    is compared with the second at (r - lag row, c - lag col), smoothed equally; the slopes are those of the second.
+    Rows and columns are counted from the middle of a block, in its sides. Pixels unknown in either (valid: 1 or 0) and
+    a rim of 3 do not count. Empty without common pixels.
     """
     (top, bottom, down), (left, right, across) = (
-        _span(first.shape[axis], second.shape[axis], lag[axis]) for axis in (0, 1)
+        _span(first_valid.shape[axis], second.shape[axis], lag[axis]) for axis in (0, 1)
     )
     n_rows, n_cols = bottom - top, right - left
     if n_rows <= 0 or n_cols <= 0:
         return np.zeros((0, 0, N_LINES + 1, N_LINES + 1))
-    n_bands = max(1, n_rows // side)
-    sums = np.zeros((n_bands, N_PRODUCTS, n_cols), np.float32)
-    lines = np.empty((N_LINES + 2, n_cols + 2 * REACH), np.float32)
-    weights = np.empty((3, 2, 2 * REACH + 1), np.float32)
+    n_bands, width = max(1, n_rows // side), -(-n_cols // _STRIDE) * _STRIDE
+    sums = np.zeros((n_bands, N_PRODUCTS, width), np.float32)
+    lines, smooth = np.zeros((_TOGETHER, N_LINES, width), np.float32), np.zeros((2, width + 2 * REACH), np.float32)
+    weights, cols = np.empty((4, 2 * REACH + 1), np.float32), np.empty(n_cols)
     out = np.empty((n_bands, max(1, n_cols // side), N_LINES + 1, N_LINES + 1))
-    corner, parts = (top, left, top - down, left - across), (0.0, down - lag[0], across - lag[1])
-    _fill_sums(first, first_valid, second, second_valid, corner, parts, n_rows, weights, lines, sums, out)
+    corner, parts = (top, left, top - down, left - across), (down - lag[0], across - lag[1])
+    _fill_sums(first, first_valid, second, second_valid, corner, parts, n_rows, weights, lines, smooth, cols, sums, out)
     return out
 
 
@@ -85,30 +96,45 @@ def _span(first: int, second: int, lag: float) -> tuple[int, int, int]:
 
 
 @lean_kernel
+def _fill_smoothed(picture: Float32s, weights: Float32s, line: Float32s, out: Float32s) -> None:
+    _fill_taps(0.0, weights)
+    for r in range(out.shape[0]):
+        _weigh(picture, r + REACH, REACH, weights[0], line)
+        _along(line, weights[0], out[r])
+
+
+@lean_kernel
 def _fill_sums(
     first: Float32s,
     first_valid: Float32s,
     second: Float32s,
     second_valid: Float32s,
     corner: tuple[int, int, int, int],
-    parts: tuple[float, float, float],
+    parts: tuple[float, float],
     n_rows: int,
     weights: Float32s,
     lines: Float32s,
+    smooth: Float32s,
+    cols: Float64s,
     sums: Float32s,
     out: Float64s,
 ) -> None:
-    """Fill the products of all blocks; parts: positions between pixels of the first, and of the second's axes."""
-    for k in range(3):
-        _fill_taps(parts[k], weights[k])
-    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, lines, sums)
-    _to_blocks(sums, out)
+    """Fill the products of all blocks; parts: positions between the pixels of the second's axes."""
+    for k in range(2):
+        _fill_taps(parts[k], weights[2 * k : 2 * k + 2])
+    _sum(first, first_valid, second, second_valid, corner, weights, n_rows, cols.size, lines, smooth, sums)
+    _to_blocks(sums, cols, out)
 
 
-@bare_kernel
-def _to_blocks(sums: Float32s, out: Float64s) -> None:
-    """Convert sums over the rows of a band, [band, product, col], to symmetric matrices with a line for the column."""
-    n_cols, n_blocks = sums.shape[2], out.shape[1]
+@lean_kernel
+def _to_blocks(sums: Float32s, cols: Float64s, out: Float64s) -> None:
+    """Convert sums over the rows of a band, [band, product, col], to symmetric matrices with a line for the column.
+
+    cols: room for the position of each column in its block.
+    """
+    n_cols, n_blocks = cols.size, out.shape[1]
+    for x in range(n_cols):
+        cols[x] = (x * n_blocks % n_cols) / n_cols - 0.5
     for band in range(sums.shape[0]):
         for block in range(n_blocks):
             start, stop, matrix = block * n_cols // n_blocks, (block + 1) * n_cols // n_blocks, out[band, block]
@@ -120,8 +146,8 @@ def _to_blocks(sums: Float32s, out: Float64s) -> None:
                     n += 1
             for j in range(N_LINES):
                 b = j + (j > 1)
-                matrix[2, b] = matrix[b, 2] = _moment(sums[band, j], start, stop, n_blocks, 1)
-            matrix[2, 2] = _moment(sums[band, 0], start, stop, n_blocks, 2)
+                matrix[2, b] = matrix[b, 2] = _moment(sums[band, j, start:stop], cols[start:stop])
+            matrix[2, 2] = _second_moment(sums[band, 0, start:stop], cols[start:stop])
 
 
 @bare_kernel
@@ -133,11 +159,18 @@ def _total(row: Float32s) -> float:
 
 
 @bare_kernel
-def _moment(row: Float32s, start: int, stop: int, n_blocks: int, power: int) -> float:
-    total, n_cols = 0.0, row.size
-    for x in range(start, stop):
-        col = (x * n_blocks % n_cols) / n_cols - 0.5
-        total += row[x] * col if power == 1 else row[x] * col * col
+def _moment(row: Float32s, cols: Float64s) -> float:
+    total = 0.0
+    for x in range(row.size):
+        total += row[x] * cols[x]
+    return total
+
+
+@bare_kernel
+def _second_moment(row: Float32s, cols: Float64s) -> float:
+    total = 0.0
+    for x in range(row.size):
+        total += row[x] * cols[x] * cols[x]
     return total
 
 
@@ -150,30 +183,29 @@ def _sum(
     corner: tuple[int, int, int, int],
     weights: Float32s,
     n_rows: int,
+    n_cols: int,
     lines: Float32s,
+    smooth: Float32s,
     sums: Float32s,
 ) -> None:
-    n_bands, n_cols = sums.shape[0], sums.shape[2]
-    left, other_left = corner[1], corner[3]
-    valid, place, a, b, down, right = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5]
-    smooth, slope = lines[6], lines[7]
+    """Add the products of all rows to those of their band; rows of a band are added several together."""
+    n_bands, left, other_left, n_waiting, last = sums.shape[0], corner[1], corner[3], 0, 0
     for r in range(n_rows):
-        row, other = corner[0] + r, corner[2] + r
-        _weigh(first, row, left, weights[0, 0], smooth)
-        _along(smooth, weights[0, 0], a)
-        _weigh(second, other, other_left, weights[1, 0], smooth)
-        _weigh(second, other, other_left, weights[1, 1], slope)
-        _along(smooth, weights[2, 0], b)
-        _along(slope, weights[2, 0], down)
-        _along(smooth, weights[2, 1], right)
+        row, other, band = corner[0] + r, corner[2] + r, r * n_bands // n_rows
+        if n_waiting == _TOGETHER or band != last:
+            _add_products(lines, n_waiting, sums[last])
+            n_waiting, last = 0, band
+        valid, place, a = lines[n_waiting, 0], lines[n_waiting, 1], lines[n_waiting, 2]
+        b, down, right = lines[n_waiting, 3], lines[n_waiting, 4], lines[n_waiting, 5]
+        _weigh(second, other, other_left, weights[0], smooth[0, : n_cols + 2 * REACH])
+        _weigh(second, other, other_left, weights[1], smooth[1, : n_cols + 2 * REACH])
+        _along_with_slope(smooth[0], weights[2], weights[3], b, right)
+        _along(smooth[1], weights[2], down)
         _multiply(first_valid[row, left:], second_valid[other, other_left:], valid[:n_cols])
-        _apply_mask(valid[:n_cols], np.float32(r * n_bands % n_rows / n_rows - 0.5), place, a, b, down, right)
-        band = sums[r * n_bands // n_rows]
-        n = 0
-        for i in range(N_LINES):
-            for j in range(i, N_LINES):
-                _add_product(lines[i], lines[j], band[n])
-                n += 1
+        _multiply(first[row - REACH, left - REACH :], valid, a[:n_cols])
+        _apply_mask(valid, np.float32(r * n_bands % n_rows / n_rows - 0.5), place, b, down, right)
+        n_waiting += 1
+    _add_products(lines, n_waiting, sums[last])
 
 
 @lean_part
@@ -190,10 +222,25 @@ def _weigh(picture: Float32s, row: int, left: int, weights: Float32s, out: Float
 @lean_part
 def _along(row: Float32s, weights: Float32s, out: Float32s) -> None:
     w0, w1, w2, w3, w4, w5, w6 = weights
-    for x in range(out.size - 6):
+    for x in range(out.size):
         out[x] = (
             w0 * row[x] + w1 * row[x + 1] + w2 * row[x + 2] + w3 * row[x + 3] + w4 * row[x + 4] + w5 * row[x + 5]
         ) + w6 * row[x + 6]
+
+
+@lean_part
+def _along_with_slope(
+    row: Float32s, weights: Float32s, slope_weights: Float32s, value: Float32s, slope: Float32s
+) -> None:
+    w0, w1, w2, w3, w4, w5, w6 = weights
+    s0, s1, s2, s3, s4, s5, s6 = slope_weights
+    for x in range(value.size):
+        value[x] = (
+            w0 * row[x] + w1 * row[x + 1] + w2 * row[x + 2] + w3 * row[x + 3] + w4 * row[x + 4] + w5 * row[x + 5]
+        ) + w6 * row[x + 6]
+        slope[x] = (
+            s0 * row[x] + s1 * row[x + 1] + s2 * row[x + 2] + s3 * row[x + 3] + s4 * row[x + 4] + s5 * row[x + 5]
+        ) + s6 * row[x + 6]
 
 
 @lean_part
@@ -204,11 +251,45 @@ def _multiply(first: Float32s, second: Float32s, out: Float32s) -> None:
 
 @lean_part
 def _apply_mask(
-    valid: Float32s, row: np.float32, place: Float32s, a: Float32s, b: Float32s, down: Float32s, right: Float32s
+    valid: Float32s, row: np.float32, place: Float32s, b: Float32s, down: Float32s, right: Float32s
 ) -> None:
     for x in range(valid.size):
         place[x] = row * valid[x]
-        a[x], b[x], down[x], right[x] = a[x] * valid[x], b[x] * valid[x], down[x] * valid[x], right[x] * valid[x]
+        b[x], down[x], right[x] = b[x] * valid[x], down[x] * valid[x], right[x] * valid[x]
+
+
+@lean_part
+def _add_products(lines: Float32s, n: int, band: Float32s) -> None:
+    """Add the products of `n` rows, in their order: the sums stay those of one row after the other."""
+    k = 0
+    for i in range(N_LINES):
+        for j in range(i, N_LINES):
+            if n == _TOGETHER:
+                _add_four(
+                    *(lines[0, i], lines[1, i], lines[2, i], lines[3, i]),
+                    *(lines[0, j], lines[1, j], lines[2, j], lines[3, j]),
+                    band[k],
+                )
+            else:
+                for m in range(n):
+                    _add_product(lines[m, i], lines[m, j], band[k])
+            k += 1
+
+
+@lean_part
+def _add_four(
+    a: Float32s,
+    b: Float32s,
+    c: Float32s,
+    d: Float32s,
+    of_a: Float32s,
+    of_b: Float32s,
+    of_c: Float32s,
+    of_d: Float32s,
+    total: Float32s,
+) -> None:
+    for x in range(total.size):
+        total[x] = total[x] + a[x] * of_a[x] + b[x] * of_b[x] + c[x] * of_c[x] + d[x] * of_d[x]
 
 
 @lean_part

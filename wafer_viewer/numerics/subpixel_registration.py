@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from wafer_viewer.numerics.block_gradients import (
     decreases,
     shift_gradient,
 )
-from wafer_viewer.numerics.block_sums import Numbers, block_sums
+from wafer_viewer.numerics.block_sums import Numbers, block_sums, smoothed
 from wafer_viewer.numerics.jit import Float32s
 
 
@@ -106,7 +107,7 @@ _BOTH = np.eye(2)
 Lag = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RegisteredImage:
     """Part of a picture with its mask of known pixels (1 or 0), float32 [row, col].
 
@@ -116,6 +117,11 @@ class RegisteredImage:
     values: Float32s
     valid: Float32s
     noise: float
+
+    @cached_property
+    def smoothed(self) -> Float32s:
+        """The picture as it is compared with others: smoothed once for all lags."""
+        return smoothed(self.values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,5 +329,5 @@ def _symmetric(matrix: Numbers) -> Numbers:
 
 
 def _gradients(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int) -> BlockGradients:
-    sums = block_sums(first.values, first.valid, second.values, second.valid, lag, side)
+    sums = block_sums(first.smoothed, first.valid, second.values, second.valid, lag, side)
     return block_gradients(sums, second.noise, ALIGNMENT.least_pixels, ALIGNMENT.least_filled)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter, map_coordinates
 from scipy.special import erf
 
-from wafer_viewer.numerics.block_sums import block_sums, taps
+from wafer_viewer.numerics.block_sums import block_sums, smoothed, taps
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align
 
 SHAPE = 160, 90
@@ -50,7 +50,7 @@ def test_sums_of_blocks_are_those_of_the_pixels():
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(2, 50, 41)).astype(np.float32)
     valid = (rng.random((50, 41)) < 0.8).astype(np.float32)
-    sums = block_sums(a, valid, b, np.ones_like(b), (4.0, -3.0), 12)
+    sums = block_sums(smoothed(a), valid, b, np.ones_like(b), (4.0, -3.0), 12)
     assert sums.shape == (3, 2, 7, 7)
     assert sums[:, :, 0, 0].sum() == valid[7:47, 3:35].sum()
     smooth = np.stack([np.convolve(row, taps(0)[0], "valid") for row in a])
