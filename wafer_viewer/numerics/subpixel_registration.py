@@ -131,7 +131,8 @@ class SubpixelShift:
     covariance: [2, 2], infinite if undetermined, `LOOSE_PX` squared along lines; correlation: within blocks, -1 ... 1;
     agreeing: fraction of the contrast in blocks that fit on their own; bent_px: deviation of the lags of the outermost
     blocks from that in the middle, and bent_sigmas: its significance; n_blocks: number of blocks; unexplained: fraction
-    of the variance within them that the lag leaves.
+    of the variance within them that the lag leaves; held: unit vectors of the directions that the picture determines,
+    [2, k].
     """
 
     lag: Lag
@@ -142,13 +143,8 @@ class SubpixelShift:
     bent_sigmas: float
     n_pixels: float
     n_blocks: int
-
-    @property
-    def held(self) -> Numbers:
-        """Unit vectors of the directions that the picture determines, [2, k]."""
-        return held_directions(self.covariance)
-
     unexplained: float
+    held: Numbers
 
 
 def held_directions(covariance: Numbers) -> Numbers:
@@ -158,8 +154,9 @@ def held_directions(covariance: Numbers) -> Numbers:
         return np.zeros((2, 0))
     if a + d < (LOOSE_PX / 2) ** 2:
         return _BOTH
-    variances, directions = np.linalg.eigh(covariance)
-    return directions[:, variances < (LOOSE_PX / 2) ** 2]
+    small, large, *axes = _principal_axes(covariance)
+    held = [axis for variance, axis in zip((small, large), axes, strict=True) if variance < (LOOSE_PX / 2) ** 2]
+    return np.array(held).reshape(-1, 2).T
 
 
 def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, roughly: bool = False) -> SubpixelShift:
@@ -191,11 +188,11 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         stiffness = surface.measured
     elif not roughly and not _is_clear(pulls, noise, surface.held):
         stiffness = _hessian_by_differences(first, second, lag, side)
-    alike = pulls.correlation
+    alike, known = pulls.correlation, covariance(pulls, stiffness, surface.held)
     bent_px, bent_sigmas = shift_gradient(pulls) if surface.held.shape[1] == 2 else (0.0, 0.0)
     return SubpixelShift(
         lag,
-        covariance(pulls, stiffness, surface.held),
+        known,
         alike,
         agreement_fraction(pulls, noise),
         bent_px / ease,
@@ -203,6 +200,7 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         float(pulls.pixels.sum()),
         len(pulls.pixels),
         1 - alike**2,
+        held_directions(known),
     )
 
 

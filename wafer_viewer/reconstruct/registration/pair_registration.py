@@ -169,18 +169,13 @@ def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShi
 
 def _listed(candidates: Sequence[Candidate], pixel_um: float) -> NDArray[np.float32]:
     """Return candidates as rows of `Shifts.candidates`, [k, 6]."""
-    rows = np.full((len(candidates), N_CANDIDATE), np.nan, np.float32)
-    for row, one in zip(rows, candidates, strict=True):
-        (down, right), precision = one.off_px, np.linalg.inv(one.covariance) / pixel_um**2
-        row[:] = (
-            right * pixel_um,
-            -down * pixel_um,
-            precision[1, 1],
-            -precision[0, 1],
-            precision[0, 0],
-            one.misfit_nats,
-        )
-    return rows
+    if not candidates:
+        return np.zeros((0, N_CANDIDATE), np.float32)
+    down, right = np.array([one.off_px for one in candidates]).T
+    precision = np.linalg.inv(np.array([one.covariance for one in candidates])) / pixel_um**2
+    misfit_nats = [one.misfit_nats for one in candidates]
+    columns = precision[:, 1, 1], -precision[:, 0, 1], precision[:, 0, 0], misfit_nats
+    return np.column_stack((right * pixel_um, -down * pixel_um, *columns)).astype(np.float32)
 
 
 def _by_stage(doubt: RejectionReason) -> PairShift:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.correlation import Likeness, contrast, normalised_cross_correlation
-from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align
+from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align, held_directions
 from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, binned_valid
 
 LOOK_PX = 3.0
@@ -354,10 +354,12 @@ def _aligned(levels: Pair, lag: Lag, side: int, factor: int, nominal: Lag) -> Su
 
 def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
     """Convert a fit to full pixels."""
+    known = fit.covariance * factor**2
     return replace(
         fit,
         lag=(fit.lag[0] * factor, fit.lag[1] * factor),
-        covariance=fit.covariance * factor**2,
+        covariance=known,
+        held=held_directions(known),
         bent_px=fit.bent_px * factor,
         n_pixels=fit.n_pixels * factor**2,
         unexplained=fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**4,
@@ -416,7 +418,7 @@ def _judged(
 def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -> Candidate:
     """Return the deviation of a fit from the stage, which alone counts along lines."""
     off = np.subtract(np.subtract(fit.lag, window.lag), window.part)
-    if np.isfinite(fit.covariance).all():
+    if fit.held.shape[1] != 2 and np.isfinite(fit.covariance).all():
         off = fit.held @ fit.held.T @ off
     covariance = fit.covariance + MATCH_ACCEPTANCE.least_u_px**2 * np.eye(2)
     misfit_nats = max(0.0, 0.5 * fit.n_blocks * math.log(fit.unexplained / best.unexplained))
