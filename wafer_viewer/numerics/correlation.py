@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.fourier import fast_length
+from wafer_viewer.numerics.jit import Float32s, Float64s, Int64s, lean_kernel
 from wafer_viewer.numerics.normal_statistics import median
 
 _STEEPEST = 3.0
@@ -118,10 +119,29 @@ def _sums_between(
 ) -> NDArray[np.float64]:
     """Return the sums of squares over all ranges of rows and cols, [row range, col range]."""
     summed = np.zeros((picture.shape[0] + 1, picture.shape[1] + 1))
-    np.cumsum(np.square(picture, dtype=np.float64), axis=0, out=summed[1:, 1:])
-    np.cumsum(summed[1:, 1:], axis=1, out=summed[1:, 1:])
-    between = summed[rows[1]] - summed[rows[0]]
-    return between[:, cols[1]] - between[:, cols[0]]
+    out = np.empty((len(rows[0]), len(cols[0])))
+    _fill_sums_between(picture, *rows, *cols, summed, out)
+    return out
+
+
+@lean_kernel
+def _fill_sums_between(
+    picture: Float32s, tops: Int64s, bottoms: Int64s, lefts: Int64s, rights: Int64s, summed: Float64s, out: Float64s
+) -> None:
+    """Fill the sums by those of all rectangles from the corner; summed: room for these, with zeros along both edges."""
+    for r in range(picture.shape[0]):
+        row, above = summed[r + 1], summed[r]
+        for c in range(picture.shape[1]):
+            value = float(picture[r, c])
+            row[c + 1] = above[c + 1] + value * value
+    for r in range(1, summed.shape[0]):
+        row = summed[r]
+        for c in range(1, row.size):
+            row[c] += row[c - 1]
+    for r in range(out.shape[0]):
+        upper, lower = summed[tops[r]], summed[bottoms[r]]
+        for c in range(out.shape[1]):
+            out[r, c] = (lower[rights[c]] - upper[rights[c]]) - (lower[lefts[c]] - upper[lefts[c]])
 
 
 def _moments(picture: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
