@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from wafer_viewer.numerics.subpixel_registration import RegisteredImage
 Read = Callable[[HeightMap, slice, slice], RegisteredImage]
 """Function that reads the compared image of a field from a range of rows and columns."""
 
-_NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
-"""The image repeats its border where a drifting field was not covered in all frames."""
+_SEEN = np.ones(256, np.float32)
+"""Whether a pixel of an origin counts: the image repeats its border where a drifting field was not covered in all
+frames."""
+_SEEN[[Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES]] = 0
 _PERCENT = np.float32(100)
 """Unit of the logarithm of grey: a difference of 1 is one percent of the light."""
 _DARKEST = 0.015
@@ -94,13 +96,17 @@ def _part(first: int, second: int, offset: float, reach: int, step: int) -> _Par
 
 def picture_of(height: HeightMap, rows: slice, cols: slice) -> RegisteredImage:
     """Return the logarithm of the all-in-focus image, in hundredths, so that light only adds a smooth plane to it."""
-    grey = np.asarray(height.all_in_focus[rows, cols]).astype(np.float32)
-    brightest = float(grey[::7, ::7].max(initial=0))
-    grey = _PERCENT * np.log(np.maximum(grey, np.float32(max(1.0, _DARKEST * brightest))))
-    origin = height.origin[rows, cols]
-    covered = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
+    grey = _logarithm(np.asarray(height.all_in_focus[rows, cols]))
     grey -= np.float32(grey[::7, ::7].mean(dtype=np.float64))
-    return RegisteredImage(grey, covered.astype(np.float32), _noise(grey))
+    return RegisteredImage(grey, _SEEN[np.asarray(height.origin[rows, cols])], _noise(grey))
+
+
+def _logarithm(grey: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the logarithm of grey in hundredths; of 8 bits from a table."""
+    darkest = np.float32(max(1.0, _DARKEST * float(grey[::7, ::7].max(initial=0))))
+    if grey.dtype == np.uint8:
+        return (_PERCENT * np.log(np.maximum(np.arange(256, dtype=np.float32), darkest)))[grey]
+    return np.asarray(_PERCENT * np.log(np.maximum(grey.astype(np.float32), darkest)), np.float32)
 
 
 def _noise(plane: NDArray[np.float32]) -> float:
