@@ -138,8 +138,9 @@ def _walls(z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
     for off, ahead, behind in ((apart[0], steep[1:], steep[:-1]), (apart[1], steep[:, 1:], steep[:, :-1])):
         ahead |= off > limit_um
         behind |= off > limit_um
-    wide = steep.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
-    return np.pad(wide, [(0, n - m) for n, m in zip(z_um.shape, wide.shape, strict=True)], mode="constant")
+    walls = np.zeros(z_um.shape, np.bool_)
+    walls[: CELL_PX * len(steep), : CELL_PX * steep.shape[1]] = steep.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
+    return walls
 
 
 def _block_side(plane: NDArray[np.float32]) -> int:
