@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ _SOME_OVERLAPS = 4000
 """Number of overlaps that show the spacing of the candidates."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CandidateGraph:
     """Overlaps with their candidates, in pixels.
 
@@ -126,7 +127,7 @@ class CandidateGraph:
         """
         return replace(self, misfit=np.where(np.isfinite(self.misfit), 0.0, np.inf))
 
-    @property
+    @cached_property
     def spacing_px(self) -> float:
         """Median distance of the nearest two candidates of the overlaps with several; infinite without."""
         known = np.isfinite(self.misfit)
@@ -139,7 +140,7 @@ class CandidateGraph:
         apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.inf
         return float(np.median(np.nanmin(apart, axis=(1, 2))))
 
-    @property
+    @cached_property
     def periods_px(self) -> Numbers:
         """Median of the shortest steps between candidates, mostly along x and mostly along y, [2, 2]; NaN without."""
         known = np.isfinite(self.misfit)

@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.numerics.jit import Int, Real, lean_kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
-from wafer_viewer.reconstruct.pose_graph.amg_solver import System, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
 from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph, Ints
+from wafer_viewer.reconstruct.pose_graph.joint_step import joint_step
 from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags
 from wafer_viewer.reconstruct.pose_graph.stage_errors import N_SHARED, shared_effects
 
 RELAXED_PX = (6.0, 2.0, 1.0)
 """Residuals at which overlaps have lost three quarters of their weight, when all fields are moved together, px."""
-RELAXED_TOLERANCE = 1e-4
-"""Relative error of these motions in very large grids, which are not solved directly."""
 N_UNSETTLED = 4
 """Number of the shared errors of the stage that count while fields are placed for the first time."""
 
@@ -188,7 +186,7 @@ class Placing:
             weight = 1 / (1 + (distance / scale_px) ** 2) ** 2
             precision = weight[:, None] * graph.precision[used, pick]
             prior = (self.place - expected) / self.scatter**2
-            self.place[free] += _joint_step(
+            self.place[free] += joint_step(
                 (a, b), precision, off - graph.offset[used, pick], prior, self.scatter, free, self.stage
             )
 
@@ -222,12 +220,13 @@ class Placing:
         """Estimate the shared errors of the stage, and its scatter, from the placed fields."""
         used = self.placed
         off, by = (self.place - self.stage)[used], self.shared_by[used][:, :, :n_shared]
+        flat = by.reshape(-1, n_shared)
         sigma, weight = self.shared_sigma(n_shared), np.ones(len(off))
         shared, normal = np.zeros(n_shared), np.diag(sigma**-2.0)
         for _ in range(5):
-            precision = weight[:, None] / self.scatter**2
-            normal = np.einsum("nam,na,nak->mk", by, precision, by) + np.diag(sigma**-2.0)
-            shared = np.linalg.solve(normal, np.einsum("nam,na,na->m", by, precision, off))
+            weighted = flat.T * (weight[:, None] / self.scatter**2).ravel()
+            normal = weighted @ flat + np.diag(sigma**-2.0)
+            shared = np.linalg.solve(normal, weighted @ off.ravel())
             rest = off - by @ shared
             if with_scatter and not self.knows_scatter and len(off) >= CHOICE.enough_fields:
                 self.scatter = self._scatter_of(rest, len(off) - n_shared / 2)
@@ -249,41 +248,6 @@ def _usual_scatter(spacing_px: float, n_fields: int) -> float:
     if n_fields < CHOICE.enough_fields:
         return CHOICE.scatter_px
     return min(CHOICE.scatter_px, CHOICE.scatter_of_pitch * spacing_px)
-
-
-def _joint_step(
-    ends: tuple[Ints, Ints],
-    precision: Numbers,
-    off: Numbers,
-    prior: Numbers,
-    scatter: Numbers,
-    free: Flags,
-    stage: Numbers,
-) -> Numbers:
-    """Return the step [free, 2] to the least squares of overlaps and the stage.
-
-    off: [e, 2], difference of the places of both ends less the measured one; prior: gradient of the stage's, [n, 2].
-    """
-    from scipy.sparse import coo_array, csr_array
-
-    n, (a, b) = len(free), ends
-    xx, xy, yy = precision.T
-    push = np.column_stack((xx * off[:, 0] + xy * off[:, 1], xy * off[:, 0] + yy * off[:, 1]))
-    gradient = prior.copy()
-    np.add.at(gradient, b, push)
-    np.add.at(gradient, a, -push)
-    rows, cols, values = [np.arange(2 * n)], [np.arange(2 * n)], [np.tile(1 / scatter**2, n)]
-    for first, second, sign in ((a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)):
-        for i, j, value in ((0, 0, xx), (0, 1, xy), (1, 0, xy), (1, 1, yy)):
-            rows.append(2 * first + i)
-            cols.append(2 * second + j)
-            values.append(sign * value)
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols)))
-    both = np.repeat(free, 2)
-    matrix = csr_array(coo_array(entries, (2 * n, 2 * n)))[both][:, both]
-    system = System(matrix.tobsr((2, 2)), np.zeros((matrix.shape[0], 0)), np.zeros((0, 0)))
-    step = prepare(system, *stage[free].T).solve(gradient[free].reshape(-1, 1), RELAXED_TOLERANCE)
-    return -step.reshape(-1, 2)
 
 
 @lean_kernel
