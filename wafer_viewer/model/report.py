@@ -21,6 +21,7 @@ Part = Literal[
     "recipe",
     "calibration",
     "warnings",
+    "audit",
     "checksums",
     "signatures",
 ]
@@ -37,6 +38,7 @@ PART_TITLES: dict[Part, str] = {
     "recipe": "Recipe",
     "calibration": "Calibration",
     "warnings": "Warnings",
+    "audit": "Audit log",
     "checksums": "Checksums",
     "signatures": "Signatures",
 }

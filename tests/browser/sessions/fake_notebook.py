@@ -72,6 +72,7 @@ HELD: Contents = {
     "recipe": Holds("the settings that were used"),
     "calibration": Holds("lengths are calibrated"),
     "warnings": Holds("no warnings"),
+    "audit": Holds("no entry on this dataset", nothing=True),
     "checksums": Holds("of data and results; versions of the program"),
     "signatures": Holds("measured by, checked by, approved by"),
 }

@@ -183,7 +183,7 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
     monkeypatch.setattr(report, "gather", lambda *_: material)
     message = contents(dataset, RESULT)
     assert {part for part, holds in message.items() if holds.nothing} == {
-        *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface")
+        *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface", "audit")
     }
     assert (message["results"].words, message["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))

@@ -109,6 +109,15 @@ def release_problem(folder: Path, job: Job) -> str | None:
     return None
 
 
+def release_of(folder: Path, job: Job) -> AuditEntry | None:
+    """Return the signed entry of the release of a job, None if it is not as somebody released it in the data folder.
+
+    Raises DatasetError when the audit log was altered.
+    """
+    released = job.released and release_problem(folder, job) is None
+    return _releases(folder)[_place(folder, job).name] if released else None
+
+
 def require_released(folder: Path, job: Job, who: str) -> None:
     """Raise RoleError if an operator may not run a job, because it is not as it was released."""
     why = release_problem(folder, job) if job.released else "This plan is not released."

@@ -35,7 +35,7 @@ from wafer_viewer.session.reporting.report_data import (
     surface_pairs,
     verdict_text,
 )
-from wafer_viewer.session.reporting.sections import defects, defects_held, gauge, profiles, results, verdict
+from wafer_viewer.session.reporting.sections import audit, defects, defects_held, gauge, profiles, results, verdict
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
@@ -79,6 +79,7 @@ def _goes_in(part: Part, material: Material) -> bool:
         "profiles": bool(material.lines),
         "gauge": bool(material.gauge_checks),
         "pictures": bool(material.pictures),
+        "audit": bool(material.actions or material.audit_fault),
         **dict.fromkeys(OF_A_SCAN, bool(material.dataset.fields)),
     }
     return held.get(part, True)
@@ -127,6 +128,7 @@ def contents(folder: Path, result_name: str) -> Contents:
         **({} if plan.fields else dict.fromkeys(OF_A_SCAN, Holds("a surface from a file has none", nothing=True))),
         "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
         "warnings": Holds(_count(warnings, "warning") if warnings else "no warnings"),
+        "audit": _audit_held(material),
         "checksums": Holds("of data and results; versions of the program"),
         "signatures": Holds(", ".join(SIGNED_BY).lower()),
     }
@@ -151,6 +153,15 @@ def _results_held(material: Material) -> Holds:
         return Holds("no results yet", nothing=True)
     judged = material.notebook.judged(keys_under_review(None, material.findings))
     return Holds(f"{_count(len(material.findings), 'result')}, {judged} judged")
+
+
+def _audit_held(material: Material) -> Holds:
+    """Return the number of entries of the audit log, or why there are none."""
+    n = len(material.actions)
+    entries = f"{number(n, 0)} {'entry' if n == 1 else 'entries'} on this dataset and its job"
+    return Holds(
+        material.audit_fault or (entries if n else "no entry on this dataset"), nothing=not (n or material.audit_fault)
+    )
 
 
 def _count(n: int, word: str) -> str:
@@ -279,6 +290,7 @@ _MADE: dict[Part, Callable[[Material], ReportSection]] = {
     "recipe": _recipe,
     "calibration": _calibration,
     "warnings": _warnings,
+    "audit": audit,
     "checksums": _checksums,
     "signatures": _signatures,
 }

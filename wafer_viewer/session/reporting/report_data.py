@@ -11,6 +11,8 @@ from wafer_viewer.draw.number_format import duration, number, share, size, with_
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.positioners import ROLES, PositionerReading
+from wafer_viewer.model.audit import AuditEntry
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
@@ -21,6 +23,7 @@ from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.session.measurement.measurement_numbers import UNITS, quantity_text, spaced, title_of
+from wafer_viewer.session.planning.job_releases import release_of
 from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 
@@ -178,7 +181,10 @@ def _regions_of(value: Any) -> Iterator[Region]:
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Input data of the report's parts."""
+    """Input data of the report's parts.
+
+    actions: what people did to the dataset and its job, oldest first; audit_fault: reason why that cannot be given.
+    """
 
     dataset: Dataset
     result: Result
@@ -187,6 +193,8 @@ class Material:
     notebook: Notebook
     verdict: WaferVerdict | None = None
     inspection: Inspection | None = None
+    actions: tuple[AuditEntry, ...] = ()
+    audit_fault: str = ""
 
     @property
     def day(self) -> str:
@@ -245,4 +253,18 @@ def gather(folder: Path, result_name: str) -> Material:
         read_notebook(result.path),
         stored_verdict(dataset, result),
         read_inspection(result.path),
+        *_audited(dataset),
     )
+
+
+def _audited(dataset: Dataset) -> tuple[tuple[AuditEntry, ...], str]:
+    """Return the entries of the audit log on a dataset, after the release of its job; or none, and the reason."""
+    from wafer_viewer.store.records.audit_log import recorded_actions
+
+    folder = dataset.path.absolute().parent
+    try:
+        released = release_of(folder, dataset.scan.job)
+        actions = recorded_actions(folder, dataset.path.name)
+    except WaferViewerError as fault:
+        return (), f"The audit log cannot be relied on: {fault}"
+    return ((released,) if released is not None else ()) + actions, ""

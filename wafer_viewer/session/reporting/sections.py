@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
 from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
 from wafer_viewer.draw.number_format import digits_of_u, number, share
+from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
@@ -43,6 +44,7 @@ MOST_SHEETS, MOST_PROFILES = 60, 24
 """Maximum numbers of result sheets and profiles; further results are in the table only, to limit the report's size."""
 RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
 FEATURE_HEADS = ("No.", "Feature", "Limits", "Value, k = 2", "Word", "Judgement")
+AUDIT_HEADS = ("Time, UTC", "Who", "Through", "Action", "Details")
 GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
 
 
@@ -209,6 +211,25 @@ def _of_check(check: GaugeCheck) -> str:
     blocks = f"Certificate {paper.number} of {paper.laboratory}, blocks {', '.join(paper.serials)}, to {paper.expires}"
     signed = f"; signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""
     return f"{check.number}: {check.why} {blocks}{signed}."
+
+
+def audit(material: Material) -> ReportSection:
+    """Return the section with what people did to the dataset and its job, from the signed audit log of its folder."""
+    title = PART_TITLES["audit"]
+    if material.audit_fault:
+        return ReportSection(title, sentences=(material.audit_fault,))
+    rows = tuple(_audit_row(entry, material.dataset.path.name) for entry in material.actions)
+    return ReportSection(
+        title, table=Table(AUDIT_HEADS, rows, "w w"), empty="The audit log has no entry on this dataset."
+    )
+
+
+def _audit_row(entry: AuditEntry, dataset: str) -> tuple[str, ...]:
+    """Return the cells of an entry; what it was done to is named unless that is the dataset."""
+    at = entry.at.removesuffix("+00:00").replace("T", " ")
+    action = entry.action if entry.subject == dataset else f"{entry.action}, {entry.subject}"
+    details = (entry.detail, f"SHA-256 {entry.sha256}" if entry.sha256 else "")
+    return (at, entry.by, entry.through, action, " · ".join(part for part in details if part))
 
 
 MOST_PLACES = 10
