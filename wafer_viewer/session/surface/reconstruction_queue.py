@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 from wafer_viewer.compute.child_process import ChildDied
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
-from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
@@ -52,13 +53,13 @@ class ReconstructionRun:
     grown: bool = False
     stitching: bool = False
     grows_again_at: float = 0.0
-    answered: bool = False
+    settled: bool = False
     completion: Future[None] | None = None
 
     @property
     def settling(self) -> bool:
-        """True while the first field still has to resolve `auto` for all; it is processed alone."""
-        return self.recipe.heights_have_auto and not self.answered
+        """True while a field still has to resolve `auto` for all; fields are processed one by one, in their order."""
+        return self.recipe.heights_have_auto and not self.settled
 
     @property
     def idle(self) -> bool:
@@ -129,6 +130,7 @@ class Reconstruction:
         self._run = ReconstructionRun(
             self._library.dataset.path, result, recipe, work, completion=completion, restitch=restitch
         )
+        self._settle(self._run)
         self.add(fields)
 
     def add(self, fields: Iterable[int]) -> None:
@@ -200,6 +202,12 @@ class Reconstruction:
         )
         done.add_done_callback(partial(self._later, self._field_done, run, number))
 
+    def _settle(self, run: ReconstructionRun) -> None:
+        """Note whether `auto` is resolved; a damaged file of that is reported by the field that reads it."""
+        if run.settling:
+            with suppress(DatasetError):
+                run.settled = self._library.dataset.result(run.result).settled() is not None
+
     def _live_done(self, run: ReconstructionRun, number: int, done: Future[bool]) -> None:
         """Take over a live reconstruction; without heights, the field is queued normally once it has all its frames."""
         if done.exception() is None and done.result():
@@ -213,12 +221,12 @@ class Reconstruction:
 
     def _field_done(self, run: ReconstructionRun, number: int, done: Future[Any]) -> None:
         run.busy.discard(number)
-        run.answered = True
         if run is not self._run:
             return
+        self._settle(run)
         fault = done.exception()
         if isinstance(fault, ChildDied):
-            run.waiting.append(number)
+            run.waiting.appendleft(number)  # the same field resolves `auto` for the others as without the interruption
         elif fault is not None:
             self._library.set_state(number, FieldState.FAILED)
             self._notices.fault(no_heights(number), str(fault), "surface", where=f"field {number}")
