@@ -49,7 +49,10 @@ n_frames = {frames}
 """
 ORPHANS_END_S = 60.0
 """Time in s for what a killed program had started to end by itself, on a busy machine."""
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | {
+    "PYTHONPATH": str(ROOT)
+}
+"""Many processes start: without stored bytecode each would compile the package anew."""
 _OF_THE_RUN = ("manifest.json", "lock", "scan.json", "journal.jsonl")
 """Files of a dataset that hold times, or what was done when."""
 
