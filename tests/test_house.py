@@ -86,6 +86,12 @@ def test_html_is_written_as_markup(module):
     assert not [ast.unparse(call) for call in plain if "Markup(" in ast.unparse(call.args[0])], "text joins to text"
 
 
+@pytest.mark.parametrize("module", DRAWS_HTML, ids=lambda p: str(p.relative_to(ROOT)))
+def test_html_has_no_handlers(module):
+    """The policy of the page refuses them: what an element does is in gui/static/events.js."""
+    assert re.findall(r"[\s\"']on[a-z]+=\\?[\"'{]", module.read_text()) == []
+
+
 def test_a_room_has_no_room_hidden_in_it():
     full = {str(folder): n for folder, n in Counter(module.parent for module in MODULES).items() if n > MOST_FILES}
     assert not full

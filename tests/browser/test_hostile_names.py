@@ -69,10 +69,52 @@ def test_a_script_in_a_name_is_shown_and_does_not_run(serve: Callable[[FakeSessi
     assert page.evaluate("() => window.wvRan") is None
 
 
-def test_the_same_names_without_escaping_run(serve: Callable[[FakeSession], Page], monkeypatch) -> None:
-    """The test above sees a script that runs."""
+VIOLATIONS = """
+  window.wvRefused = [];
+  document.addEventListener('securitypolicyviolation', event => window.wvRefused.push(event.effectiveDirective));
+"""
+
+
+def test_the_same_names_without_escaping_are_elements_whose_scripts_the_policy_refuses(
+    serve: Callable[[FakeSession], Page], monkeypatch
+) -> None:
+    """The test above would see them."""
     monkeypatch.setattr(markupsafe, "_escape_inner", str)
     page = serve(FakeSession(hostile(fake.measured())))
+    page.evaluate(VIOLATIONS)
     go_to(page, "Measure")
-    page.wait_for_function("() => window.wvRan === 1")
-    assert page.evaluate("() => window.wvRan") == 1
+    page.locator("img[src=x]").first.wait_for(state="attached")
+    page.wait_for_function("() => window.wvRefused.includes('script-src-attr')")
+    assert page.evaluate("() => window.wvRan") is None
+
+
+@pytest.mark.parametrize(
+    "html", ["<img src=x onerror=wvRan=1>", "<script>wvRan=1</script>", "<a href='javascript:wvRan=1'>x</a>"]
+)
+def test_no_html_on_the_page_brings_a_script_in(serve: Callable[[FakeSession], Page], html: str) -> None:
+    page = serve(FakeSession(fake.planned()))
+    page.evaluate(VIOLATIONS)
+    page.evaluate(
+        """html => {
+          document.body.append(document.createRange().createContextualFragment(html));
+          document.body.lastElementChild.click();
+        }""",
+        html,
+    )
+    page.wait_for_function("() => window.wvRefused.length > 0")
+    assert page.evaluate("() => window.wvRan") is None
+
+
+@pytest.mark.parametrize("state", [fake.planned, fake.scanning, fake.measured])
+def test_the_policy_refuses_nothing_of_the_page_itself(serve: Callable[[FakeSession], Page], state) -> None:
+    told = list[str]()
+    page = serve(FakeSession(state()))
+    page.on("console", lambda message: told.append(message.text))
+    page.reload()
+    for step in STEPS:
+        button = page.get_by_role("button", name=step, exact=True).first
+        if button.is_enabled():
+            go_to(page, step)
+            page.wait_for_timeout(500)
+    assert [text for text in told if "Content Security Policy" in text] == []
+    assert page.locator("[onclick], [onerror], [oninput], [onchange], [onkeydown]").count() == 0

@@ -22,7 +22,7 @@ PANEL_AS_WIDE_AS_SCENE = """() => {
   return Math.abs(panel - scene) <= 2;
 }"""
 CLICK_AT_EVERY_REPORT = """() => {
-  const click = () => window.wvLiveSay.watch.call({ dataset: { k: '0' } }, { stopPropagation() {} });
+  const click = () => window.wvReport('live-watch', '0', true);
   const report = document.querySelector('div:has(>.wv-tells)+div input');
   report.addEventListener('input', () => { click(); setTimeout(click, 5); }, true);
 }"""

@@ -25,6 +25,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.uploads import refuse_upload
 from wafer_viewer.gui.security.server import close_server, connection_of, open_server
 from wafer_viewer.gui.shell.build_page import build_page
+from wafer_viewer.gui.shell.page_script import page_script
 from wafer_viewer.gui.widgets.controls import cache_prop_types
 from wafer_viewer.gui.widgets.error_guard import log
 from wafer_viewer.gui.widgets.html import quicken
@@ -132,7 +133,7 @@ def start(
     keep_log()
     quicken()
     cache_prop_types()
-    server, guard = open_server(host, _free(host, port), token, network)
+    server, guard = open_server(host, _free(host, port), token, network, page_script())
     guard.report = lambda name: read_report(name, _report_folders(session), session.papers.saved_reports)
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False

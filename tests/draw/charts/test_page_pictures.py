@@ -49,9 +49,10 @@ def test_a_small_grid_on_a_large_sample_is_shown_enlarged_with_an_inset() -> Non
 
 
 def test_a_field_can_be_clicked_and_named() -> None:
-    picture = svg(states={5: "failed"}, onclick='go("x")')
+    picture = svg(states={5: "failed"}, pick="field", pick_place="place")
     field = next(g for g in picture.iter("g") if g.attrib.get("data-k") == "5")
-    assert field.attrib["onclick"] == 'go("x")'
+    assert field.attrib["data-pick"] == "field"
+    assert (picture.attrib["data-pick"], picture.attrib["data-where"]) == ("place", "map")
     assert field.attrib["aria-label"] == "Field 5, failed"
 
 

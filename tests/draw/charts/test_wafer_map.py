@@ -22,7 +22,7 @@ def fields(side: int = SIDE):
 def test_ten_thousand_fields_are_few_shapes():
     every = fields()
     states = {f.number: "measured" if f.row < SIDE / 2 else "to come" for f in every}
-    drawing = field_map_svg(every, *SIZE_UM, states, selected=7, onclick="go()")
+    drawing = field_map_svg(every, *SIZE_UM, states, selected=7, pick="field")
     assert len(every) == 10_000
     assert len(drawing) < 400_000
     paths = ElementTree.fromstring(drawing).findall(".//path")

@@ -84,6 +84,12 @@ class MapViewport:
         x_um = (x0 + x1) / 2 + (x_px - self.left_px - self.width_px / 2) / self.scale
         return x_um, (y0 + y1) / 2 - (y_px - self.top_px - self.height_px / 2) / self.scale
 
+    @property
+    def place_attributes(self) -> Markup:
+        """Attributes of a drawing whose clicks are picks of a stage position (events.js)."""
+        x_um, y_um = self.um_at(0.0, 0.0)
+        return Markup('data-where="map" data-frame="{:.3f},{:.3f},{:.9g}"').format(x_um, y_um, self.scale)
+
 
 def map_frame(
     fields: Sequence[Field],
@@ -111,16 +117,15 @@ def field_map_svg(
     outline_um: Outline = (),
     dies_um: Sequence[Outline] = (),
     selected: int | None = None,
-    onclick: str = "",
-    onplace: str = "",
+    pick: str = "",
+    pick_place: str = "",
     width_px: int = WIDTH_PX,
     most_height_px: int = MOST_HEIGHT_PX,
 ) -> Markup:
     """Return the map. `states` by field number are keys of `FIELD_INKS`; the default state is planned.
 
-    Each field is a focusable group with ``data-k`` (its number) and the handler `onclick`. Above `MOST_SINGLE` fields,
-    those of one state are one shape. A click outside the fields runs `onplace` with the position, stage um, in
-    ``data-k`` of the drawing.
+    Each field is a focusable group with ``data-k`` (its number), which a click picks as `pick`. Above `MOST_SINGLE`
+    fields, those of one state are one shape. A click outside the fields picks the position, stage um, as `pick_place`.
     """
     frame = map_frame(
         fields, field_width_um, field_height_um, outline_um, width_px=width_px, most_height_px=most_height_px
@@ -133,26 +138,16 @@ def field_map_svg(
     draw = _merged_shapes if len(fields) > MOST_SINGLE else _singly
     parts = [
         _sample(frame, outline_um, dies_um),
-        draw(frame, inks, (field_width_um, field_height_um), selected, onclick),
+        draw(frame, inks, (field_width_um, field_height_um), selected, pick),
     ]
     if extent and of_fields and _zoomed(of_fields, extent):
         parts.append(_inset(frame, extent, of_fields, outline_um))
     size = Markup('width="{:.0f}" height="{:.0f}"').format(frame.width_px, frame.height_px)
-    place = Markup(' onclick="{}"').format(_located(frame) + onplace) if onplace else Markup()
+    place = Markup(' data-pick="{}" {}').format(pick_place, frame.place_attributes) if pick_place else Markup()
     head = Markup('<svg {} class="wv-map" role="img" aria-label="Map of the sample" style="display:block"{}>').format(
         size, place
     )
     return Markup("{}{}</svg>").format(head, Markup("").join(parts))
-
-
-def _located(frame: MapViewport) -> str:
-    """Return the script that stores the position of a click, stage um, in ``data-k``."""
-    x_um, y_um = frame.um_at(0.0, 0.0)
-    return (
-        "const r=this.getBoundingClientRect();"
-        f"this.dataset.k=({x_um:.3f}+(event.clientX-r.left)/{frame.scale:.9g}).toFixed(1)+','"
-        f"+({y_um:.3f}-(event.clientY-r.top)/{frame.scale:.9g}).toFixed(1);"
-    )
 
 
 def _singly(
@@ -160,11 +155,11 @@ def _singly(
     inks: Sequence[tuple[Field, FieldStyle]],
     size_um: tuple[float, float],
     selected: int | None,
-    onclick: str,
+    pick: str,
 ) -> Markup:
     """Return every field with its number, the selected one on top."""
     order = sorted(inks, key=lambda pair: (pair[0].number == selected, pair[0].number))
-    return Markup("").join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
+    return Markup("").join(_field(frame, f, *size_um, ink, f.number == selected, pick) for f, ink in order)
 
 
 def _merged_shapes(
@@ -172,7 +167,7 @@ def _merged_shapes(
     inks: Sequence[tuple[Field, FieldStyle]],
     size_um: tuple[float, float],
     selected: int | None,
-    onclick: str,
+    pick: str,
 ) -> Markup:
     """Return one shape per state for large numbers of fields, with the selected field on top."""
     w, h = (max(0.8, side * frame.scale - 0.3) for side in size_um)
@@ -188,7 +183,7 @@ def _merged_shapes(
         for ink, shape in shapes.items()
     )
     chosen = [(field, ink) for field, ink in inks if field.number == selected]
-    return drawn + _singly(frame, chosen, size_um, selected, onclick)
+    return drawn + _singly(frame, chosen, size_um, selected, pick)
 
 
 def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline]) -> Markup:
@@ -203,20 +198,20 @@ def _sample(frame: MapViewport, outline_um: Outline, dies_um: Sequence[Outline])
 
 
 def _field(
-    frame: MapViewport, field: Field, width_um: float, height_um: float, ink: FieldStyle, selected: bool, onclick: str
+    frame: MapViewport, field: Field, width_um: float, height_um: float, ink: FieldStyle, selected: bool, pick: str
 ) -> Markup:
     x, y = frame.x(field.x_um - width_um / 2) + 0.5, frame.y(field.y_um + height_um / 2) + 0.5
     w, h = max(1.0, width_um * frame.scale - 1), max(1.0, height_um * frame.scale - 1)
-    handler = Markup(' onclick="{}" style="cursor:pointer"').format(onclick) if onclick else Markup()
+    picked = Markup(' data-pick="{}" style="cursor:pointer"').format(pick) if pick else Markup()
     name = f"Field {field.number}, {ink.title}"
     return Markup(
-        '<g data-k="{number}" tabindex="0" role="button" aria-label="{name}"{handler}>'
+        '<g data-k="{number}" tabindex="0" role="button" aria-label="{name}"{picked}>'
         "<title>{name}</title>{box}"
         "{number2}</g>"
     ).format(
         number=field.number,
         name=name,
-        handler=handler,
+        picked=picked,
         box=_box(x, y, w, h, ink, selected),
         number2=_number(field.number, ink, x + w / 2, y + h / 2, min(w, h)),
     )

@@ -13,8 +13,6 @@ from markupsafe import Markup
 from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import add_html
-from wafer_viewer.gui.widgets.style import read_static
 
 STEPS_UM = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 """Steps in x and y."""
@@ -38,8 +36,6 @@ KEYS: tuple[tuple[int, str, Any, str], ...] = (
     (3, "Z down", _ICON.ARROW_BAR_TO_DOWN, "z"),
 )
 """Digit, name, icon and kind, in the order of a keypad."""
-PICKS = {"jog": True, "step": False, "focus": False, "smaller": False, "larger": False, "watch": True}
-"""Words of the script with whether only the latest counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +103,6 @@ class JogPad:
         self._hold = 0
         """Latest press; words of an earlier one come late."""
         self._released = False
-        says = ",".join(
-            f"{what}:function(event){{{html.pick_script(f'live-{what}', latest_only=latest)}}}"
-            for what, latest in PICKS.items()
-        )
-        add_html(page.gui, html.run_script(f"window.wvLiveSay={{{says}}};{read_static('live.js')}"))
         page.on_pick("live-jog", self._jog)
         page.on_pick("live-step", self._step)
         page.on_pick("live-smaller", lambda _: self._resize(-1))

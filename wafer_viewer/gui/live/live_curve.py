@@ -9,7 +9,6 @@ from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import BottomPanel
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.session.acquisition.live_controller import LiveLook
 from wafer_viewer.session.state.live_state import LiveState
@@ -23,8 +22,6 @@ ROUND_UM = 10.0
 GAP_UM = 12.0
 """Distance of two scored positions beyond which the curve is interrupted: nothing was seen between them."""
 _Y_TICKS = ((0.0, "0"), (0.5, "50"), (1.0, "100"))
-_TOLD = "this.dataset.k=this.name+':'+this.value;" + html.pick_script("live-range", latest_only=True)
-_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
 
 
 class LiveDock:
@@ -152,7 +149,7 @@ def grips_html(live: LiveState, ends_um: tuple[float, float]) -> Markup:
     sliders = Markup("").join(
         Markup(
             '<input type="range" class="wv-slide wv-grip {state}" name="{end}" aria-label="{title}, µm" min="{low!r}" '
-            'max="{high!r}" step="0.1" value="{z!r}" onchange="{told}" onkeydown="{keys}" data-needs-control>'
+            'max="{high!r}" step="0.1" value="{z!r}" data-slide="live-range" data-needs-control>'
         ).format(
             state="" if um is not None else "waits",
             end=end,
@@ -160,8 +157,6 @@ def grips_html(live: LiveState, ends_um: tuple[float, float]) -> Markup:
             low=ends_um[0],
             high=ends_um[1],
             z=waiting[end] if um is None else um,
-            told=_TOLD,
-            keys=_KEYS,
         )
         for end, um in marked.items()
     )

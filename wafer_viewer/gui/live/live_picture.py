@@ -40,10 +40,6 @@ BORDER_PX = 18
 SATURATED = (214, 39, 40)
 FAILED = "The live picture is not shown"
 NOT_DRIVEN = "The stage did not move"
-_CLICK = (
-    "if(event.target.closest('[data-pick]')!==this)return;"
-    "this.dataset.k=[event.offsetX/this.clientWidth,event.offsetY/this.clientHeight].join(',');"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +157,11 @@ def offset_um(limits: RigLimits, across: float, down: float) -> tuple[float, flo
 
 def _target(size: PictureSize) -> Markup:
     """Return the area that takes clicks; it stays the same while the words change."""
-    script = _CLICK + html.pick_script("live-at")
     return Markup(
         '<div class="wv-ov wv-live-root"><div class="wv-live" style="width:{w}px;height:{h}px" data-pick="live-at" '
-        'data-needs-control role="img" aria-label="Picture of the camera: click to drive there" '
-        'onclick="{script}"><div class="wv-live-still wv-glass" role="status"></div></div></div>'
-    ).format(w=size.width_px, h=size.height_px, script=script)
+        'data-where="picture" data-needs-control role="img" aria-label="Picture of the camera: click to drive there">'
+        '<div class="wv-live-still wv-glass" role="status"></div></div></div>'
+    ).format(w=size.width_px, h=size.height_px)
 
 
 def words_over(snapshot: Snapshot, look: LiveLook, size: PictureSize, now_s: float) -> Markup:

@@ -18,7 +18,6 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import BottomPanel
 from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.state.view_state import View, with_cursor
-from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.measurement.sections import Gap, Section, cursor_difference, next_measured
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -26,41 +25,19 @@ from wafer_viewer.session.state.snapshot import Snapshot
 ZOOM, CURSOR = "plot", "cursor"
 """Events: start and end of a drag as shares of the plot's width; a cursor and its distance."""
 FULL_RANGE = "whole"
-_ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
-_DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
-"""The drag is stored in the window, so that it continues on a plot that is redrawn meanwhile."""
-_MOVE = (
-    "if(!(event.buttons&1)){window.plotFrom=undefined;this.firstElementChild.style.display='none'}"
-    f"if(window.plotFrom!==undefined){{const a=window.plotFrom,b={_ALONG},s=this.firstElementChild.style;"
-    "s.display='block';s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
-)
-_UP = (
-    f"if(window.plotFrom!==undefined){{this.dataset.k=window.plotFrom+':'+{_ALONG};window.plotFrom=undefined;"
-    f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
-)
-_ZOOM_OUT = f"this.dataset.k='{FULL_RANGE}';{html.pick_script(ZOOM)}"
-_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
-"""Stops the arrow keys from moving the camera as well."""
 
 
 def zoom_area() -> Markup:
     """Return the element over the curves as HTML: a drag zooms, a click moves the nearer cursor."""
-    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _ZOOM_OUT}
-    handlers = Markup(" ").join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
-    return Markup('<div class="wv-zoom" {}><div></div></div>').format(handlers)
+    return Markup('<div class="wv-zoom" data-drag="{}"><div></div></div>').format(ZOOM)
 
 
 def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> Markup:
     """Return a slider over the plot for each cursor within its ends, as HTML; only the thumbs take the pointer."""
-    tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'key')+':{end}';"
-    tell += html.pick_script(CURSOR, latest_only=True)
-    moved, released = (tell.replace("{end}", end) for end in ("", "end"))
-    released += ";delete this.dataset.by"
     return Markup("").join(
         Markup(
             '<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {aria_label}, µm" '
-            'min="{min!r}" max="{max!r}" step="{step!r}" value="{x!r}" '
-            'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{keys}">'
+            'min="{min!r}" max="{max!r}" step="{step!r}" value="{x!r}" data-slide="{slide}">'
         ).format(
             k=k,
             aria_label=k + 1,
@@ -68,9 +45,7 @@ def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um
             max=ends_um[1],
             step=step_um * (1 - 1e-9),
             x=x,
-            moved=moved,
-            released=released,
-            keys=_KEYS,
+            slide=CURSOR,
         )
         for k, x in enumerate(at_um)
         if ends_um[0] <= x <= ends_um[1]
@@ -101,7 +76,7 @@ def parse_cursor_event(key: str) -> CursorMove:
 
 def focus_slider_html(number: int) -> Markup:
     """Return HTML that focuses the slider of a cursor again, after it was recreated during keyboard use."""
-    return html.run_script(f"document.querySelector('.wv-slide[name=\"{number}\"]')?.focus()")
+    return Markup('<i hidden data-arrived="cursor" data-k="{}"></i>').format(number)
 
 
 STILL_S = 0.6

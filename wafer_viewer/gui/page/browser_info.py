@@ -17,7 +17,6 @@ from markupsafe import Markup
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.browser_storage import PanelLayout
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import LEFT_PX, RIGHT_PX
@@ -32,51 +31,6 @@ LEAST_SCENE_PX = 440
 _SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
 _SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
 """Substrings of renderer names that mean software rendering."""
-_EVERY_MS = 600
-_SCRIPT = f"""
-clearInterval(window.wvTelling);
-let reported = '';
-const still = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
-const drawnBy = () => {{
-  const gl = document.createElement('canvas').getContext('webgl2');
-  const named = gl && gl.getExtension('WEBGL_debug_renderer_info');
-  const name = named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : '';
-  if (gl) gl.getExtension('WEBGL_lose_context')?.loseContext();
-  return name;
-}};
-const renderer = drawnBy();
-const side = edge => {{
-  const region = document.querySelector(`[data-dock-region=${{edge}}]`);
-  const folded = region && !!region.querySelector('[data-dock-minimize-all]');
-  return region && [Math.round(region.getBoundingClientRect().width), folded];
-}};
-window.wvSized?.disconnect();
-const sized = window.wvSized = new ResizeObserver(() => tell());
-let observed = null;
-const scene = () => {{
-  const canvas = document.querySelector('canvas[data-engine]') || document.querySelector('canvas');
-  if (!canvas || !canvas.clientWidth) return [0, 0];
-  if (canvas !== observed) {{
-    sized.disconnect();
-    sized.observe(observed = canvas);
-  }}
-  return [canvas.clientWidth, canvas.clientHeight];
-}};
-const tell = () => {{
-  const now = JSON.stringify({{
-    system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'), window: innerWidth,
-    scene: scene(),
-  }});
-  const field = document.querySelector('div:has(>.wv-tells)+div input');
-  if (now === reported || !field) return;
-  reported = now;
-  const timed = JSON.stringify({{...JSON.parse(now), at_ms: performance.now()}});
-  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, timed);
-  field.dispatchEvent(new Event('input', {{bubbles: true}}));
-}};
-window.wvTelling = setInterval(tell, {_EVERY_MS});
-window.onresize = tell;
-"""
 
 
 class BrowserInfo(msgspec.Struct, frozen=True):
@@ -127,7 +81,6 @@ class BrowserEvents:
         add_html(page.gui, Markup('<div class="wv-tells"></div>'))
         failed = "The layout was not saved"
         page.gui.add_text("tells", "").on_update(guarded(page, failed)(lambda event: self._hear(event.target.value)))
-        add_html(page.gui, html.run_script(_SCRIPT))
 
     def on_motion(self, callback: Callable[[bool], None]) -> None:
         """Call `callback` with whether camera animation is enabled, now and after each report."""

@@ -380,7 +380,7 @@ def _list(listing: Listing, listing_id: int, order: Order, kind: FileKind, rows:
     if not lines:
         lines = html.empty("No such file here." if listing.n_hidden else "Nothing here.")
     several = Markup(' data-several="1" aria-multiselectable="true"') if kind.several else Markup()
-    sign = Markup('<img src="data:," alt="" hidden onerror="window.wvFiles&&window.wvFiles.came(this)">')
+    sign = Markup('<i hidden data-arrived="files"></i>')
     return Markup(
         '<div class="wv wv-file-box"><div class="wv-file-heads"><span></span>{heads}</div>'
         '<div class="wv-files" role="listbox" tabindex="0" aria-label="{title}" '

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -243,36 +242,22 @@ _TICK = f"{_mask('M4 13l5 5L20 6')};background:var(--good)"
 
 
 def _tips(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> Markup:
-    """Return the tooltips of the steps, shown on hover and focus; a script links them to the buttons."""
-    tips, rules, ties = "", "", list[tuple[str, str, bool, bool]]()
+    """Return the tooltips of the steps, shown on hover and focus; accessible_names.js links them to the buttons."""
+    tips, rules = "", ""
     for step, uuid in ids.items():
         why = why_not(step, snapshot)
         state = f"Not yet: {why}" if why is not None else "Done." if done(step, snapshot) else ""
         tip = f"wv-tip-{step}"
-        tips += Markup('<div class="wv-tip" role="tooltip" id="{}"><b>{}</b><span>{}</span></div>').format(
-            tip, TITLES[step], state
+        linked = Markup('data-of="{}"{}{}').format(
+            uuid,
+            Markup() if why is None else Markup(' data-disabled="true"'),
+            Markup(' data-current="step"') if step == current else Markup(),
+        )
+        tips += Markup('<div class="wv-tip" role="tooltip" id="{}" {}><b>{}</b><span>{}</span></div>').format(
+            tip, linked, TITLES[step], state
         )
         rules += f"body:has({by_id(uuid)}:is(:hover,:focus-visible)) #{tip}{{visibility:visible}}"
-        ties.append((uuid, tip, why is not None, step == current))
-    script = _TIE.replace("TIES", json.dumps(ties))
-    return html.style_sheet(rules) + tips + html.run_script(script)
-
-
-_TIE = """
-const ties = TIES;
-const tie = tries => {
-  const missing = ties.filter(([id, tip, off, here]) => {
-    const button = document.getElementById(id);
-    button?.setAttribute('aria-describedby', tip);
-    if (off) button?.setAttribute('aria-disabled', 'true'); else button?.removeAttribute('aria-disabled');
-    if (here) button?.setAttribute('aria-current', 'step'); else button?.removeAttribute('aria-current');
-    return !button;
-  });
-  if (missing.length && tries) setTimeout(tie, 50, tries - 1);
-};
-tie(100);
-"""
-"""Script that sets aria attributes. An unavailable step stays focusable for its tooltip, unlike a disabled button."""
+    return html.style_sheet(rules) + tips
 
 
 def _mark(snapshot: Snapshot) -> Markup:

@@ -10,8 +10,9 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from markupsafe import Markup
+
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
 from wafer_viewer.gui.widgets.controls import Gui, add_html, set_prop
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
@@ -154,11 +155,6 @@ BUTTONS: dict[str, str] = {
 }
 """Labels of buttons, and the commands whose keys do the same."""
 STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report"
-_SCRIPT = (
-    "if(!window.wvTitles)document.addEventListener('mouseover',event=>{"
-    "const b=event.target.closest?.('button'),t=b&&window.wvTitles[b.textContent.trim()];if(t&&!b.title)b.title=t});"
-    "window.wvTitles="
-)
 
 
 def add_hints(gui: Gui) -> None:
@@ -173,7 +169,7 @@ def add_hints(gui: Gui) -> None:
 def add_titles(page: Page, commands: Sequence[Command]) -> None:
     """Add the keys of commands to the titles of their buttons."""
     titles = json.dumps(titles_of(commands), ensure_ascii=False)
-    add_html(page.gui, html.run_script(_SCRIPT + titles))
+    add_html(page.gui, Markup('<div hidden data-titles="{}"></div>').format(titles))
 
 
 def titles_of(commands: Sequence[Command]) -> dict[str, str]:

@@ -22,10 +22,6 @@ from wafer_viewer.session.state.snapshot import Draft, Snapshot
 SIDE_UM = 300.0
 """Side of the picture: shows a corner, the adjacent streets, and the possible misplacement of a wafer."""
 Place = tuple[float, float]
-_CLICK = (
-    "const f=event.detail?[event.offsetX/this.clientWidth,event.offsetY/this.clientHeight]:[0.5,0.5];"
-    "this.dataset.k=this.dataset.at+';'+f.join(';');"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +74,13 @@ def corner_picture(overview: Overview | None, job: Job, marked_um: tuple[Place |
     name = f"Click corner {n + 1}: {job.marks.places[n].name}"
     key = f"{n};{square.left_um!r};{square.top_um!r};{square.side_um!r}"
     return Markup(
-        '<div class="wv-corner" aria-label="{name}" title="{name}" data-at="{key}" {pick}><img src="{url}" alt="">'
+        '<div class="wv-corner" aria-label="{name}" title="{name}" data-at="{key}" data-where="corner" {pick}>'
+        '<img src="{url}" alt="">'
         "{cross}{cross2}</div>"
     ).format(
         name=name,
         key=key,
-        pick=_pick(),
+        pick=html.command_pick("corner-at"),
         url=url,
         cross=_cross(square.shares(expected), "due"),
         cross2=_cross(square.shares(p), "seen") if (p := marked_um[n]) else "",
@@ -94,15 +91,6 @@ def clicked(key: str) -> tuple[int, Place]:
     """Return the corner that a click on the picture marks, and its stage position."""
     n, left, top, side, across, down = key.split(";")
     return int(n), Square(float(left), float(top), float(side)).at(float(across), float(down))
-
-
-def _pick() -> Markup:
-    """Return attributes as `html.pick`, with the click position in the key; Enter picks the expected position."""
-    script = _CLICK + html.pick_script("corner-at")
-    keys = "if(event.key==='Enter'||event.key===' '){event.preventDefault();this.click()}"
-    return Markup('data-pick="corner-at" role="button" tabindex="0" onclick="{}" onkeydown="{}" {}').format(
-        script, keys, html.NEEDS_CONTROL
-    )
 
 
 def _cross(shares: tuple[float, float], kind: str) -> Markup:

@@ -22,11 +22,8 @@ from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The names were not changed"
-FOCUS = Markup(
-    '<img src="data:," alt="" hidden onerror="setTimeout(()=>document.querySelector('
-    "'div:has(>.wv-scan)+div input')?.focus(),300)\">"
-)
-"""Script that focuses the wafer id once, so that a barcode reader (a keyboard) needs no click."""
+FOCUS = Markup('<i hidden data-arrived="wafer"></i>')
+"""Mark that focuses the wafer id once, so that a barcode reader (a keyboard) needs no click."""
 
 
 class OperatorView:

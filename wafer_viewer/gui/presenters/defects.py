@@ -324,8 +324,8 @@ def _sign(frame: MapViewport, defect: Defect) -> Markup:
     look, centre = DEFECT_CLASSES[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
     faint = Markup() if defect.judgement == "open" else Markup(' opacity="{}"').format(JUDGED_OPACITY)
     return Markup(
-        '<g data-d="{data_d}" class="wv-go"{faint} stroke="var(--panel)" stroke-width="1.2" '
-        'paint-order="stroke"><title>D{number} · {title}, {judged}</title>'
+        '<g data-d="{data_d}" data-pick="review" data-k="{data_d}" class="wv-go"{faint} '
+        'stroke="var(--panel)" stroke-width="1.2" paint-order="stroke"><title>D{number} · {title}, {judged}</title>'
         "{symbol}</g>"
     ).format(
         data_d=key_of(defect),
@@ -342,20 +342,8 @@ def _svg(frame: MapViewport, shapes: str) -> Markup:
     return Markup(
         '<div class="wv-dies"><svg class="wv-map wv-go" width="{w}" height="{h}" viewBox="0 0 {w} {h}" role="img" '
         'aria-label="Dies of the sample with their defects" style="display:block" '
-        'onclick="{onclick}">{shapes}</svg></div>'
-    ).format(w=w, h=h, onclick=_clicked(frame), shapes=shapes)
-
-
-def _clicked(frame: MapViewport) -> str:
-    """Return the click script: a symbol picks its defect, elsewhere the stage position in µm, at any display scale."""
-    x_um, y_um = frame.um_at(0.0, 0.0)
-    return (
-        "const g=event.target.closest('[data-d]');"
-        f"if(g){{this.dataset.k=g.dataset.d;{html.pick_script('review')}}}else{{"
-        "const p=new DOMPoint(event.clientX,event.clientY).matrixTransform(this.getScreenCTM().inverse());"
-        f"this.dataset.k=({x_um:.3f}+p.x/{frame.scale:.9g}).toFixed(1)+','+({y_um:.3f}-p.y/{frame.scale:.9g}).toFixed(1);"
-        f"{html.pick_script('defect-at')}}}"
-    )
+        'data-pick="defect-at" {place}>{shapes}</svg></div>'
+    ).format(w=w, h=h, place=frame.place_attributes, shapes=shapes)
 
 
 def chart_of(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> Markup:

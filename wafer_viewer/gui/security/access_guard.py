@@ -22,6 +22,7 @@ from websockets.http11 import Request, Response
 from wafer_viewer.gui.incoming import Refusal
 from wafer_viewer.gui.security import login
 from wafer_viewer.gui.security.login import Login
+from wafer_viewer.gui.security.page_index import PageIndex
 from wafer_viewer.session.core.network_access import EVERY_ADDRESS, LOOPBACK, NetworkAccess
 
 Answer = Callable[[ServerConnection, Request], Response | Awaitable[Response] | None]
@@ -30,11 +31,14 @@ PlainAnswer = Callable[[ServerConnection, Request], Response | None]
 _REPORTS = "/reports/"
 _DEFAULT_PORTS = {"http": 80, "https": 443}
 _POLICY = (
-    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+    "default-src 'self'; script-src 'nonce-{nonce}' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' {socket}://{host} data: blob:; "
     "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""Content security policy with the permissions that viser's page needs: eval, textures and workers from blobs."""
+"""Content security policy with the permissions that viser's page needs: WebAssembly, textures and workers from blobs.
+
+Scripts are those of viser and of the program, by the nonce of the answer; no HTML brings others in.
+"""
 _REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -55,8 +59,9 @@ _NO_TOKEN = (
 class AccessGuard:
     """Request checks of one server, and the address that passes them."""
 
-    def __init__(self, host: str, token: str, network: NetworkAccess | None = None) -> None:
+    def __init__(self, host: str, token: str, network: NetworkAccess | None = None, script: str = "") -> None:
         self._host = host
+        self._index = PageIndex(script)
         self._token = token
         self._scheme = "https" if network else "http"
         self._login = Login(network.password) if network else None
@@ -99,7 +104,7 @@ class AccessGuard:
         return None
 
     def around(self, answer: PlainAnswer | None) -> Answer:
-        """Wrap viser's handler with the checks, the login, the cookie and the security headers."""
+        """Wrap viser's handler with the checks, the login, the cookie, the page's scripts and the security headers."""
 
         def guarded(connection: ServerConnection, request: Request) -> Response | Awaitable[Response] | None:
             response = self.refusal(connection, request)
@@ -110,12 +115,22 @@ class AccessGuard:
             if response is None:
                 response = self._reported(request)
             if response is None and answer is not None:
-                response = answer(connection, request)
+                response = self._with_scripts(answer(connection, request), request)
                 if response is not None and self._has_token(request):
                     response.headers["Set-Cookie"] = self._cookie()
-            return self._hardened(response, request)
+            return response and _hardened(response)
 
         return guarded
+
+    def _with_scripts(self, response: Response | None, request: Request) -> Response | None:
+        """Return the page with the scripts of the program and its policy for viser's page, other responses as is."""
+        if response is None or not response.headers.get("Content-Type", "").startswith("text/html"):
+            return response
+        body, nonce = self._index.answer()
+        headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))})
+        socket = "wss" if self._login else "ws"
+        headers["Content-Security-Policy"] = _POLICY.format(nonce=nonce, socket=socket, host=request.headers["Host"])
+        return Response(response.status_code, response.reason_phrase, headers, body)
 
     async def _logged_in(self, login: Login, connection: ServerConnection, request: Request) -> Response:
         """Return the response to a password: the cookie for the right one."""
@@ -124,17 +139,12 @@ class AccessGuard:
         response = _text(*(problem or (http.HTTPStatus.OK, "Logged in.\n")))
         if problem is None:
             response.headers["Set-Cookie"] = self._cookie()
-        return _hardened(response, "")
+        return _hardened(response)
 
     def _unauthorised(self, request: Request) -> Response:
         if self._login is not None and "Upgrade" not in request.headers:
             return self._login.page()
         return _text(http.HTTPStatus.UNAUTHORIZED, _NO_TOKEN)
-
-    def _hardened(self, response: Response | None, request: Request) -> Response | None:
-        hosts = request.headers.get_all("Host")
-        policy = _POLICY.format(socket="wss" if self._login else "ws", host=hosts[0] if len(hosts) == 1 else "")
-        return response and _hardened(response, policy)
 
     def _reported(self, request: Request) -> Response | None:
         """Return the response to a request for a report; None for other requests."""
@@ -199,9 +209,9 @@ def _in_address(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _hardened(response: Response, policy: str) -> Response:
+def _hardened(response: Response) -> Response:
     """Set the security headers of a response; a policy of its own stays."""
-    response.headers.setdefault("Content-Security-Policy", policy or "default-src 'none'; frame-ancestors 'none'")
+    response.headers.setdefault("Content-Security-Policy", "default-src 'none'; frame-ancestors 'none'")
     for name, value in _HEADERS.items():
         response.headers[name] = value
     return response

@@ -118,8 +118,8 @@ class FieldMap:
             outline_um=outline,
             dies_um=overview.dies_um if overview else (),
             selected=view.show if view.on_surface and view.show > 0 else None,
-            onclick=html.pick_script("field"),
-            onplace="" if snapshot.scanning else html.pick_script("place"),
+            pick="field",
+            pick_place="" if snapshot.scanning else "place",
         )
         below = (
             _legend(states) + _hint(snapshot, view) if fields else html.empty("A surface from a file:", "no fields.")

@@ -9,7 +9,6 @@ import itertools
 import secrets
 import threading
 import time
-from functools import cache
 
 from markupsafe import Markup
 
@@ -17,8 +16,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.stop import complete_fields_sentence
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html
-from wafer_viewer.gui.widgets.style import read_static
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 BEAT_S = 1.0
@@ -37,7 +35,6 @@ class Contact:
         self._cell = HtmlBlock(page.gui, padded=False)
         self._closed = threading.Event()
         self._lock = threading.Lock()
-        add_html(page.gui, html.run_script(_script()))
         page.on_pick("contact-look", lambda _: page.change(step=_step_to_look_at(page.session.snapshot), why=None))
         page.on_close(self._closed.set)
         threading.Thread(target=self._beat, name="contact", daemon=True).start()
@@ -114,8 +111,3 @@ def _step_to_look_at(snapshot: Snapshot) -> str:
     """Return the step that asks to confirm the sample."""
     data = snapshot.dataset
     return "acquire" if data is not None and not data.finished else "plan"
-
-
-@cache
-def _script() -> str:
-    return read_static("lost_connection.js")

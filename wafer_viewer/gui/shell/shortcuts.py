@@ -5,11 +5,9 @@ A command that is not possible notifies why when it is chosen, by key or in the 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, get_args
 
 import viser
@@ -17,7 +15,6 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.acquire import RETAKE, AcquirePanel, why_not_retaken
-from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_section import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
@@ -57,8 +54,6 @@ from wafer_viewer.gui.widgets.command import Command, Group, with_precondition
 from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.html import with_micro_sign
-from wafer_viewer.gui.widgets.number_field import EMPTY
-from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.model.glossary import Subject, terms_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -351,9 +346,6 @@ def _asking(page: Page) -> Callable[..., Callable[[], None]]:
     return ask
 
 
-SCRIPTS = "accessible_names.js", "clicks.js", "file_dialog.js", "keyboard.js"
-"""Scripts in this order: the file dialog handles its keys before the keyboard script."""
-FILE_PICKS = "file-mark", "file-open", "file-parent", "file-too-large"
 FIXED_KEYS: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
         ("Every command by name", "Ctrl + K"),
@@ -384,7 +376,7 @@ def shortcut_table(commands: Sequence[Command]) -> Markup:
 
 
 def add_shortcut_dialog(page: Page, commands: Sequence[Command]) -> Command:
-    """Add the keyboard script to the page and return the command that shows the sheet."""
+    """Return the command that shows the sheet, which a key of the browser (keyboard.js) asks for, too."""
 
     def show() -> None:
         dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
@@ -393,7 +385,6 @@ def add_shortcut_dialog(page: Page, commands: Sequence[Command]) -> Command:
         dialog.close_button("Close")
 
     page.on_pick("keys", lambda _: show())
-    add_html(page.gui, html.run_script(_script()))
     add_html(page.gui, Markup('<div hidden><span class="wv-keys-sheet" {}></span></div>').format(html.pick("keys")))
     return Command("Keys", None, show, group="Page")
 
@@ -438,14 +429,6 @@ def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
 def _group(group: Group, rows: list[tuple[str, str]]) -> Markup:
     lines = Markup("").join(Markup("<div>{}<kbd>{}</kbd></div>").format(name, key) for name, key in rows)
     return Markup("<section><b>{}</b>{}</section>").format(group, lines)
-
-
-@cache
-def _script() -> str:
-    optional = f"window.wvOptional={json.dumps(EMPTY, ensure_ascii=False)};"
-    picks = ",".join(f"'{what}':function(event){{{html.pick_script(what)}}}" for what in FILE_PICKS)
-    most = f"window.wvMostUpload={MOST_UPLOAD_BYTES};"
-    return "\n".join((optional, most, f"window.wvReport={{{picks}}};", read_static(*SCRIPTS)))
 
 
 Source = Callable[[Snapshot], Sequence[Command]]

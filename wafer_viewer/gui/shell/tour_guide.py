@@ -23,7 +23,6 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.command import Command
 from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, command_button, leading, outlined, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.session.files.documents import newest_report
@@ -53,8 +52,6 @@ class TourGuide:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._cell = HtmlBlock(page.gui, padded=False)
-        script = read_static("tour.js")
-        add_html(page.gui, html.run_script(script))
         page.on_pick("tour", lambda _: self.begin())
         page.on_pick("tour-skip", lambda step: self._skip(int(step)))
         page.on_pick("tour-end", lambda _: self.end())
@@ -248,12 +245,7 @@ def _note_html(note: Note, step: int) -> Markup:
     press = (
         Markup()
         if not (note.button or note.at)
-        else (
-            Markup(
-                '<span class="wv-tour-press">or <a role="button" tabindex="0" onclick="wvTourPress()" '
-                "onkeydown=\"if(event.key==='Enter')wvTourPress()\">Press it for me</a></span>"
-            )
-        )
+        else (Markup('<span class="wv-tour-press">or <a role="button" tabindex="0">Press it for me</a></span>'))
     )
     skip = Markup('<a class="wv-tour-skip" {}>Skip</a>').format(html.pick("tour-skip", step))
     return Markup(

@@ -1,28 +1,24 @@
 /* A click during which the drawing below the pointer is replaced: the browser sends none, because the element that was
-   pressed is gone when the button is released. The element in its place is clicked instead, if it has the same purpose.
-   Runs once a page. */
-if (!window.wvClicks) {
-  window.wvClicks = true;
-  const MOST_MOTION_PX = 4;
-  const clickable = at => at?.closest?.('[onclick]');
-  /* A button is pressed for its key, whatever its style; the key of a drawing is only where it was clicked last. */
-  const purpose = element => (element.getAttribute('role') === 'button'
-    ? [element.tagName, element.dataset.pick, element.dataset.k]
-    : [element.tagName, element.getAttribute('class')]).join();
-  let pressed = null;
+   pressed is gone when the button is released. The element in its place is clicked instead, if it has the same purpose. */
+const MOST_MOTION_PX = 4;
+const clickable = at => at?.closest?.('[data-pick]');
+/* A button is pressed for its key, whatever its style. */
+const purpose = element => (element.getAttribute('role') === 'button'
+  ? [element.tagName, element.dataset.pick, element.dataset.k]
+  : [element.tagName, element.getAttribute('class')]).join();
+let pressed = null;
 
-  document.addEventListener('pointerdown', event => {
-    const element = event.isPrimary && event.button === 0 ? clickable(event.target) : null;
-    pressed = element && { element, purpose: purpose(element), x: event.clientX, y: event.clientY };
-  }, true);
-  document.addEventListener('pointerup', event => {
-    const before = pressed;
-    pressed = null;
-    if (!before || before.element.isConnected) return;
-    if (Math.hypot(event.clientX - before.x, event.clientY - before.y) > MOST_MOTION_PX) return;
-    const now = clickable(document.elementFromPoint(event.clientX, event.clientY));
-    if (!now || purpose(now) !== before.purpose) return;
-    const { clientX, clientY } = event;
-    now.dispatchEvent(new MouseEvent('click', { bubbles: true, cancelable: true, clientX, clientY, detail: 1 }));
-  }, true);
-}
+document.addEventListener('pointerdown', event => {
+  const element = event.isPrimary && event.button === 0 ? clickable(event.target) : null;
+  pressed = element && { element, purpose: purpose(element), x: event.clientX, y: event.clientY };
+}, true);
+document.addEventListener('pointerup', event => {
+  const before = pressed;
+  pressed = null;
+  if (!before || before.element.isConnected) return;
+  if (Math.hypot(event.clientX - before.x, event.clientY - before.y) > MOST_MOTION_PX) return;
+  const now = clickable(document.elementFromPoint(event.clientX, event.clientY));
+  if (!now || purpose(now) !== before.purpose) return;
+  const { clientX, clientY } = event;
+  window.wvClick(now, { clientX, clientY, detail: 1 });
+}, true);

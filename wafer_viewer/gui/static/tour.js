@@ -1,5 +1,4 @@
 // Places the note of the tour beside the button that it points at, with a ring round it.
-clearInterval(window.wvTourTimer);
 const RING = 5, GAP = 26, EDGE = 12, TOP = 64, BOTTOM = 34;
 const inSight = e => e.getClientRects().length > 0 && !e.matches('[data-disabled],:disabled');
 const folded = () => document.querySelector('[data-dock-region=left] [data-dock-minimize-all]');
@@ -50,5 +49,7 @@ const place = () => {
   }
   Object.assign(note.style, { left: `${left}px`, top: `${top}px`, visibility: 'visible' });
 };
-window.wvTourPress = () => target(document.querySelector('.wv-tour'))?.click();
-window.wvTourTimer = setInterval(place, 100);
+document.addEventListener('click', event => {
+  if (event.target.closest?.('.wv-tour-press a')) target(document.querySelector('.wv-tour'))?.click();
+});
+setInterval(place, 100);

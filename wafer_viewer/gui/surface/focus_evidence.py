@@ -228,12 +228,10 @@ def _slider(curve: FocusCurve) -> Markup:
     """Return the frame selector as HTML: a slider over z that covers the plot, so that it can be dragged anywhere."""
     low, high = curve.z_um[0], curve.z_um[-1]
     step = (high - low) / (len(curve.z_um) - 1) * (1 - 1e-9)  # or the last frame would lie beyond the last step
-    tell = f"this.dataset.k=this.value;{html.pick_script('why-frame', latest_only=True)}"
-    hold = "if(event.key.startsWith('Arrow'))event.stopPropagation()"  # or the camera would move too
     return Markup(
         '<input type="range" class="wv-scrub" aria-label="Frame at z, µm" min="{low!r}" max="{high!r}" '
-        'step="{step!r}" value="{value!r}" oninput="{tell}" onkeydown="{hold}">'
-    ).format(low=low, high=high, step=step, value=curve.z_um[_sharpest(curve)], tell=tell, hold=hold)
+        'step="{step!r}" value="{value!r}" data-slide="why-frame">'
+    ).format(low=low, high=high, step=step, value=curve.z_um[_sharpest(curve)])
 
 
 def _cross_hair(window_px: int) -> Markup:

@@ -37,23 +37,6 @@ _ACTS: dict[str, Act] = {"brush": "brush", "low": "low", "high": "high"}
 _GRIP_PX = 9
 _CLICK, _AT_END = 0.008, 0.006
 """Shares of the histogram's width."""
-_ALONG = "Math.max(0,Math.min(1,(event.clientX-this.getBoundingClientRect().left)/this.clientWidth))"
-_DOWN = Markup(
-    "if(event.button===0){{event.stopPropagation();this.setPointerCapture(event.pointerId);const x={};"
-    "const g=[...this.querySelectorAll('b')].map(e=>[Math.abs(parseFloat(e.style.left)/100-x),e.dataset.grip])"
-    ".filter(e=>e[0]<{}/this.clientWidth).sort((a,b)=>a[0]-b[0]);"
-    "window.wvBrush=[g.length?g[0][1]:'brush',x]}}"
-).format(_ALONG, _GRIP_PX)
-_MOVE = (
-    "const h=window.wvBrush;if(!(event.buttons&1)){window.wvBrush=undefined}else if(h){"
-    f"const x={_ALONG};if(h[0]==='brush'){{const s=this.firstElementChild.style;s.display='block';"
-    "s.left=100*Math.min(h[1],x)+'%';s.width=100*Math.abs(h[1]-x)+'%'}"
-    "else this.querySelector('b[data-grip='+h[0]+']').style.left=100*x+'%'}"
-)
-_UP = (
-    f"const h=window.wvBrush;if(h){{window.wvBrush=undefined;this.dataset.k=h[0]+':'+h[1]+':'+{_ALONG};"
-    f"{html.pick_script(HISTOGRAM)}}}"
-)
 
 
 def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *, clips: bool) -> Markup:
@@ -72,12 +55,11 @@ def histogram_area(ends_um: Span, brush_um: Span | None, clip_um: Span | None, *
             Markup('<b data-grip="{}" style="left:{:.3f}%"></b>').format(name, 100 * fraction)
             for name, fraction in zip(("low", "high"), places, strict=True)
         )
-    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP}
-    handlers = Markup(" ").join(Markup('on{}="{}"').format(event, script) for event, script in heard.items())
     return Markup(
         '<div class="wv-over-hist"><div class="wv-brush" style="height:{height_px}px" '
-        'title="Drag to brush heights, click to clear" {handlers}><div style="{band}"></div>{grips}</div></div>'
-    ).format(height_px=HEIGHT_PX, handlers=handlers, band=band, grips=grips)
+        'title="Drag to brush heights, click to clear" data-drag="{drag}" data-grip-px="{grip_px}">'
+        '<div style="{band}"></div>{grips}</div></div>'
+    ).format(height_px=HEIGHT_PX, drag=HISTOGRAM, grip_px=_GRIP_PX, band=band, grips=grips)
 
 
 @dataclass(frozen=True, slots=True)

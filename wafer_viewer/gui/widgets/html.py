@@ -45,18 +45,11 @@ def quicken() -> None:
 
 
 Tone = Literal["good", "attention", "fault", "busy"]
-PICKS_HELD_MS = 2000
-"""Time for which a pick is reported again together with later ones."""
 
 
 def style_sheet(rules: str) -> Markup:
     """Return a style element with CSS of the program; text from elsewhere has no place in `rules`."""
     return Markup("<style>{}</style>").format(Markup(rules))
-
-
-def run_script(script: str) -> Markup:
-    """Return an invisible element that runs a script of the program as soon as it is on the page."""
-    return Markup('<img src="data:," alt="" style="display:none" onerror="{}">').format(script)
 
 
 def with_micro_sign(text: str) -> str:
@@ -71,28 +64,8 @@ def icon(name: Any, size_px: int = 16) -> Markup:
     )
 
 
-def pick_script(what: str, latest_only: bool = False) -> str:
-    """Return the handler that reports the element with ``data-k`` through the page's hidden text field.
-
-    viser sends only the last of several changes within 50 ms. The field therefore holds all picks of the last two
-    seconds, each with its number, so that none is lost. latest_only: a new value replaces the previous ones, for
-    sliders.
-    """
-    stale = f"||p[1]==='{what}'" if latest_only else ""
-    return (
-        "event.stopPropagation();const t=performance.now();window.wvPicks=(window.wvPicks||[])"
-        f".filter(p=>!(t-p[3]>{PICKS_HELD_MS}{stale}));"
-        "window.wvPickNumber=(window.wvPickNumber||0)+1;"
-        f"window.wvPicks.push([window.wvPickNumber,'{what}',this.dataset.k,t]);"
-        "const i=document.querySelector('div:has(>.wv-picks)+div input');"
-        "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set"
-        ".call(i,JSON.stringify(window.wvPicks));"
-        "i.dispatchEvent(new Event('input',{bubbles:true}))"
-    )
-
-
 def read_picks(text: str, after: int) -> list[tuple[int, str, str]]:
-    """Return number, subject and key of the picks that `pick_script` reported after number `after`, oldest first.
+    """Return number, subject and key of the picks that the browser reported after number `after`, oldest first.
 
     Raises WaferViewerError for any other text.
     """
@@ -102,10 +75,7 @@ def read_picks(text: str, after: int) -> list[tuple[int, str, str]]:
 
 def pick(what: str, key: object = "") -> Markup:
     """Return attributes that make an element a button which picks `key` of `what`, a fixed word of the program."""
-    return Markup(
-        'data-pick="{}" data-k="{}" role="button" tabindex="0" onclick="{}" '
-        "onkeydown=\"if(event.key==='Enter'||event.key===' '){{event.preventDefault();this.click()}}\""
-    ).format(what, key, pick_script(what))
+    return Markup('data-pick="{}" data-k="{}" role="button" tabindex="0"').format(what, key)
 
 
 NEEDS_CONTROL = "data-needs-control"

@@ -1,0 +1,66 @@
+"""Scripts of the page: viser's two and the program's, by a nonce that no HTML can know."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+import viser
+
+from wafer_viewer.gui.security import page_index
+from wafer_viewer.gui.security.access_guard import AccessGuard
+from wafer_viewer.gui.security.page_index import PageIndex
+from wafer_viewer.gui.security.server import open_server
+from wafer_viewer.gui.shell.page_script import SCRIPTS, page_script
+from wafer_viewer.gui.widgets.style import FOLDER
+from wafer_viewer.model.errors import WaferViewerError
+
+SCRIPT = "window.wvRan = 1;"
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[tuple[viser.ViserServer, AccessGuard]]:
+    opened, guard = open_server("127.0.0.1", 0, script=SCRIPT)
+    yield opened, guard
+    opened.stop()
+
+
+def page(server: tuple[viser.ViserServer, AccessGuard]) -> tuple[str, str]:
+    """The page and its policy."""
+    parts = urlsplit(server[1].address)
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", server[0].get_port(), timeout=5)) as wire:
+        wire.request("GET", f"{parts.path}?{parts.query}", headers={"Accept-Encoding": "gzip"})
+        answer = wire.getresponse()
+        return answer.read().decode(), answer.getheader("Content-Security-Policy", "")
+
+
+def test_scripts_run_by_the_nonce_of_the_answer_and_by_nothing_else(server) -> None:
+    nonces = set[str]()
+    for _ in range(2):
+        html, policy = page(server)
+        (allowed,) = re.findall(r"script-src ([^;]*);", policy)
+        nonce, evaluation = re.fullmatch(r"'nonce-([\w-]{22})' ('wasm-unsafe-eval')", allowed).groups()
+        assert evaluation
+        assert re.findall(r"<script([^>]*?)(?: data-p=|>)", html) == [f' nonce="{nonce}"'] * 2
+        assert f'const e=document.createElement("script");e.nonce="{nonce}";' in html
+        assert f"{SCRIPT}</script></head>" in html
+        nonces.add(nonce)
+    assert len(nonces) == 2
+
+
+def test_a_page_whose_scripts_are_elsewhere_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = tmp_path / "index.html"
+    other.write_bytes(page_index.INDEX.read_bytes().replace(b"</head>", b"<script>1</script></head>"))
+    monkeypatch.setattr(page_index, "INDEX", other)
+    with pytest.raises(WaferViewerError, match=r"its scripts could not be told from others.*viser here is"):
+        PageIndex(SCRIPT)
+
+
+def test_every_script_is_in_the_one_of_the_page_and_none_can_end_it_early() -> None:
+    assert sorted(SCRIPTS) == sorted(path.name for path in FOLDER.glob("*.js"))
+    assert "</script" not in page_script().lower()
