@@ -120,7 +120,7 @@ def _sums_between(
     """Return the sums of squares over all ranges of rows and cols, [row range, col range]."""
     summed = np.zeros((picture.shape[0] + 1, picture.shape[1] + 1))
     out = np.empty((len(rows[0]), len(cols[0])))
-    _fill_sums_between(picture, *rows, *cols, summed, out)
+    _fill_sums_between(picture, rows[0], rows[1], cols[0], cols[1], summed, out)
     return out
 
 

@@ -344,7 +344,7 @@ def _move(window: CentringWindow) -> bool:
     moving = np.int32(0)  # the largest of floats would be searched for one by one
     for i in range(_LANES):
         moving = np.int32(moving + np.int32(abs(moved[i]) >= standing))
-    return moving > 0
+    return bool(moving > 0)
 
 
 @inline_kernel

@@ -13,6 +13,7 @@ from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.field_poses import HeightOffsets
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.filters.gaussian import binned
+from wafer_viewer.numerics.filters.sliding_filters import repeated
 from wafer_viewer.numerics.grids.robust_plane import Plane, differences, fit_plane
 from wafer_viewer.reconstruct.focus.focus_volume import on_threads
 
@@ -139,7 +140,8 @@ def _walls(z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
         ahead |= off > limit_um
         behind |= off > limit_um
     walls = np.zeros(z_um.shape, np.bool_)
-    walls[: CELL_PX * len(steep), : CELL_PX * steep.shape[1]] = steep.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
+    whole = tuple(slice(CELL_PX * (n // CELL_PX)) for n in z_um.shape)
+    walls[whole] = repeated(steep, CELL_PX, walls[whole].shape)
     return walls
 
 
