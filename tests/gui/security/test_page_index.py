@@ -44,8 +44,7 @@ def test_scripts_run_by_the_nonce_of_the_answer_and_by_nothing_else(server) -> N
     for _ in range(2):
         html, policy = page(server)
         (allowed,) = re.findall(r"script-src ([^;]*);", policy)
-        nonce, evaluation = re.fullmatch(r"'nonce-([\w-]{22})' ('wasm-unsafe-eval')", allowed).groups()
-        assert evaluation
+        (nonce,) = re.fullmatch(r"'nonce-([\w-]{22})' 'unsafe-eval'", allowed).groups()
         assert re.findall(r"<script([^>]*?)(?: data-p=|>)", html) == [f' nonce="{nonce}"'] * 2
         assert f'const e=document.createElement("script");e.nonce="{nonce}";' in html
         assert f"{SCRIPT}</script></head>" in html

@@ -31,11 +31,12 @@ PlainAnswer = Callable[[ServerConnection, Request], Response | None]
 _REPORTS = "/reports/"
 _DEFAULT_PORTS = {"http": 80, "https": 443}
 _POLICY = (
-    "default-src 'self'; script-src 'nonce-{nonce}' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "default-src 'self'; script-src 'nonce-{nonce}' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' {socket}://{host} data: blob:; "
     "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""Content security policy with the permissions that viser's page needs: WebAssembly, textures and workers from blobs.
+"""Content security policy with the permissions that viser's page needs: textures and workers from blobs, WebAssembly,
+and the functions that its bindings make of text.
 
 Scripts are those of viser and of the program, by the nonce of the answer; no HTML brings others in.
 """
