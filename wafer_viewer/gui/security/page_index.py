@@ -32,12 +32,11 @@ class PageIndex:
         before, rest = html.split(_PACKED)
         packed, rest = rest.split(_UNPACKED)
         unpacking, rest = rest.split(_END)
-        own = f">{script}</script>".encode()
         self._parts = (
             before + b'<script nonce="',
             b'" data-p=' + packed + _UNPACKED + b'e.nonce="',
             b'";' + unpacking + b'<script nonce="',
-            b'"' + own + _END + rest,
+            b'">' + script.encode() + b"</script>" + _END + rest,
         )
 
     def answer(self) -> tuple[bytes, str]:

@@ -13,6 +13,7 @@ REACH_PX = 48
 """Distance over which heights tell of a wall beside them."""
 
 REACH_CELLS = REACH_PX // COARSE_PX
+"""The same distance in cells."""
 
 ENOUGH_PIXELS = 6
 """Smallest number of pixels of a cell that passed the gate, for a cell that has a height."""

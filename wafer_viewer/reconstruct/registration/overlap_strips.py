@@ -17,10 +17,9 @@ from wafer_viewer.numerics.subpixel_registration import RegisteredImage
 Read = Callable[[HeightMap, slice, slice], RegisteredImage]
 """Function that reads the compared image of a field from a range of rows and columns."""
 
-_SEEN = np.ones(256, np.float32)
+_SEEN = np.array([origin not in (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES) for origin in range(256)], np.float32)
 """Whether a pixel of an origin counts: the image repeats its border where a drifting field was not covered in all
 frames."""
-_SEEN[[Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES]] = 0
 _PERCENT = np.float32(100)
 """Unit of the logarithm of grey: a difference of 1 is one percent of the light."""
 _DARKEST = 0.015
