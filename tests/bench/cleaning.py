@@ -182,7 +182,7 @@ def compile_all() -> None:
         "neighbours near": lambda: denoising.few_near(padded[3], 1.0, 15),
         "distances": lambda: denoising.mean_distances(padded[3], *at, 15),
         "narrow parts": lambda: regions.narrow_parts(z, 1.0, 6),
-        "islands": lambda: regions.small_components(z, 1.0, 81),
+        "islands": lambda: regions.component_sizes(z, 1.0),
         "splines": lambda: interpolation.fill_gaps(z, 9, 1.0),
         "(guided, switching: far)": lambda: denoising.median_outliers(padded[2], np.float32(1)),
         "(guided, switching: medians)": lambda: denoising.medians_at(padded[2], *at),

@@ -29,11 +29,11 @@ from wafer_viewer.measure.base.robust_fit import fit_line
 from wafer_viewer.measure.defects.features import ellipse_of
 from wafer_viewer.measure.edges.circular_edges import CIRCLE_SEARCH, Ring, find_circle, fit_ring
 from wafer_viewer.numerics.filters.regions import (
+    component_sizes,
     dilated,
     narrow_parts,
     region_maxima,
     regions_with_peaks,
-    small_components,
 )
 
 RUNS = 9
@@ -124,7 +124,7 @@ def of_heights(side: int) -> Iterator[Case]:
         return known & (sizes[labels] < LEAST_PX)
 
     for words, step_um in (("a step parts", STEP_UM), ("no step parts", np.inf)):
-        components = (lambda step: lambda: small_components(z_um, step, LEAST_PX))(step_um)
+        components = (lambda step: lambda: known & (component_sizes(z_um, step) < LEAST_PX))(step_um)
         narrow = (lambda step: lambda: narrow_parts(z_um, step, SIDE_PX))(step_um)
         yield Case(f"remove_small_objects, {words}", components, objects, same_pixels)
         yield Case(f"opening, {words}", narrow, opened, same_pixels)

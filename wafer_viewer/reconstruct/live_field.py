@@ -19,7 +19,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import search_of
 from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, row_parts
+from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, row_parts, rows_in
 from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
 from wafer_viewer.reconstruct.focus.peak_search import (
     WideLevels,
@@ -63,13 +63,13 @@ class LiveField:
         self._peaks.clipped[:] = 0
         cols = images.shape[2]
         self._stripes = [
-            (rows, FocusCurves.make(len(images), (_length(rows), cols)))
+            (rows, FocusCurves.make(len(images), (rows_in(rows), cols)))
             for rows in row_parts(images.shape[1], LIVE_STRIPE_ROWS)
         ]
         for _, curves in self._stripes:
             curves.best[:] = 0
             curves.peak[:] = 0
-        stripe = _length(self._stripes[0][0]), cols
+        stripe = rows_in(self._stripes[0][0]), cols
         self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
         kernels = focus_kernels(self._search.measure)
         self._rows = kernels.make_rows(cols, self._search.window, images.dtype)
@@ -99,7 +99,7 @@ class LiveField:
             raise ComputeError(f"Some of the pages {first} to {stop - 1} were added already: give each page once.")
         slots = np.arange(first, stop)
         for rows, curves in self._stripes:
-            source, out, n = self._source(rows, slots), self._peaks.rows(rows), _length(rows)
+            source, out, n = self._source(rows, slots), self._peaks.rows(rows), rows_in(rows)
             levels, coarse = curves.levels[first:stop], out.coarse[first:stop]
             volume = Volume(levels, self._best[:n], self._peak[:n], self._clipped[:n], coarse)
             fill_volume(source, self._search, self._rows, volume)
@@ -161,7 +161,3 @@ class LiveField:
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:
         return StackSource.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
-
-
-def _length(part: slice) -> int:
-    return part.stop - part.start

@@ -231,9 +231,10 @@ def test_a_faint_silhouette_is_a_wall_where_the_heights_jump_beside_it() -> None
     assert (side[40:160, 124:] == EdgeSide.AWAY).all()
 
 
-def dark_heights_um(
-    z_um: NDArray[np.float32], line: slice, level: NDArray[np.bool_] | None = None
-) -> NDArray[np.float32]:
+NOWHERE = np.zeros((50, 60), np.bool_)
+
+
+def dark_heights_um(z_um: NDArray[np.float32], line: slice, level: NDArray[np.bool_] = NOWHERE) -> NDArray[np.float32]:
     """Heights in um expected on both sides of a bright line; z_um: measured, [row, col]; line: its columns."""
     half = slice((line.start - 5) // 2, (line.stop + 5) // 2)
     band = find_band(silhouettes((slice(0, 100), half, 9)), 5, 8)

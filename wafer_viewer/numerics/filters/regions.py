@@ -10,11 +10,6 @@ import numpy as np
 from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, UInt8s, kernel, lean_kernel
 
 
-def small_components(z: Float32s, max_step: Real, min_pixels: Int) -> Bools:
-    """Return a mask of finite pixels in components of fewer than `min_pixels`, as in `component_sizes`."""
-    return np.isfinite(z) & (component_sizes(z, max_step) < min_pixels)
-
-
 def component_sizes(z: Float32s, max_step: Real) -> Int32s:
     """Return the number of pixels of the component of each pixel, 1 where z is not finite; int32 [row, col].
 

@@ -38,7 +38,7 @@ from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 from wafer_viewer.numerics.filters.local_planes import local_planes
-from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts, small_components
+from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
@@ -97,16 +97,18 @@ def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> 
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
     remaining = np.where(found, np.float32(np.nan), smoothed_um)
-    found |= _islands(remaining, floor_um, window)
+    found |= _islands(remaining, component_sizes(remaining, floor_um), window)
     return found & np.isfinite(raw_um)
 
 
-def _islands(z_um: Map, floor_um: float, window: int) -> Found:
+def _islands(z_um: Map, sizes: NDArray[np.int32], window: int) -> Found:
     """Detect islands smaller than the square of two windows, and those within a window of the border.
 
-    What the border cuts off may be a wall whose light is all that the window sees: tests/truth/unseen.py.
+    sizes: of the components. What the border cuts off may be a wall whose light is all that the window sees:
+    tests/truth/unseen.py.
     """
-    return small_components(z_um, floor_um, (2 * window) ** 2) | border_components(np.isfinite(z_um), window)
+    measured = np.isfinite(z_um)
+    return (measured & (sizes < (2 * window) ** 2)) | border_components(measured, window)
 
 
 def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
@@ -206,9 +208,7 @@ class SupportParameters:
     """Limits of the doubt in a height: unevenness times isolation.
 
     Unevenness is the height range within about half a window, relative to the largest of one surface; isolation the sum
-    of the unmeasured share of a window and of the smallness of the island. Tuned on scenes drawn as those of
-    tests/truth/unseen.py, of other seeds: with limits of 0.4 and 0.25 the worst tenth of 180 scenes has 1.5 and 1.4 %
-    false heights, 2.0 % without; 0.3 and 0.6 % of the heights are lost.
+    of the unmeasured share of a window and of the smallness of the island. Tuned on tests/truth/unseen.py.
 
     Parameters
     ----------
@@ -336,11 +336,12 @@ def clean(
     if side_is_known is not None:
         step_edge = _step_edges(raw, side_is_known, bleeding_um, pixel_um, recipe, resolution_um)
         raw[step_edge] = np.nan
-        if step_edge.any():
-            outlier |= _leftovers(raw, recipe, resolution_um) & ~side_is_known
+        sizes = component_sizes(raw, OUTLIER_FLOOR_STEPS * resolution_um)
+        if step_edge.any():  # a sliver of a slope caused by bleeding light may look flat by itself
+            outlier |= _islands(raw, sizes, int(recipe.window)) & ~side_is_known
             raw[outlier] = np.nan
         if recipe.outliers.mode == "lattice":
-            outlier |= _unsupported(raw, pixel_um, recipe, resolution_um) & ~side_is_known
+            outlier |= _unsupported(raw, sizes, pixel_um, recipe, resolution_um) & ~side_is_known
             raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
@@ -386,19 +387,10 @@ def _jump_limit_um(recipe: Recipe, pixel_um: float, resolution_um: float) -> flo
     return max(JUMP.steps * resolution_um, JUMP.cone_share * _cone(recipe) * extent_um)
 
 
-def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
-    """Return a mask of the islands that the removal of step edges leaves.
-
-    A sliver of a slope caused by bleeding light may look flat by itself.
-    """
-    return _islands(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window))
-
-
-def _unsupported(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> Found:
-    """Return a mask of uneven heights that too few others support."""
+def _unsupported(z_um: Map, sizes: NDArray[np.int32], pixel_um: float, recipe: Recipe, resolution_um: float) -> Found:
+    """Return a mask of uneven heights that too few others support; sizes: of the components."""
     measured, window = np.isfinite(z_um), int(recipe.window)
     unevenness = height_range_um(z_um, window) / np.float32(_jump_limit_um(recipe, pixel_um, resolution_um))
-    sizes = component_sizes(z_um, OUTLIER_FLOOR_STEPS * resolution_um)
     smallness = np.minimum(np.float32((SUPPORT.island_windows * window) ** 2) / sizes, np.float32(SUPPORT.smallest))
     isolation = 1 - mean(measured, 2 * (window // 2) + 1) + smallness
     return measured & (unevenness * isolation > SUPPORT.most_doubt)

@@ -203,6 +203,11 @@ def on_threads(work: Callable[[Part], None], parts: Iterable[Part], threads: int
         list(pool.map(work, parts))
 
 
+def rows_in(part: slice) -> int:
+    """Return the number of rows of a part."""
+    return part.stop - part.start
+
+
 def row_parts(n_rows: int, rows: int) -> list[slice]:
     """Split rows into parts of `rows`; the last part may be shorter."""
     return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]

@@ -44,6 +44,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     cores,
     note,
     row_parts,
+    rows_in,
     source_of,
 )
 from wafer_viewer.reconstruct.focus.level_noise import level_noise
@@ -332,7 +333,7 @@ class WideLevels:
     def __init__(self, coarse: NDArray[np.uint16], cells: int) -> None:
         n_frames, n_rows, cols = coarse.shape
         self._coarse, self._cells, self._line = coarse, cells, aligned((cols + cells - 1,), np.int32)
-        self.curves = [FocusCurves.make(n_frames, (_length(rows), cols)) for rows in row_parts(n_rows, _WIDE_ROWS)]
+        self.curves = [FocusCurves.make(n_frames, (rows_in(rows), cols)) for rows in row_parts(n_rows, _WIDE_ROWS)]
         self._new, self._none = FocusCurves.make(0, self.curves[0].best.shape), np.zeros_like(self.curves[0].best)
 
     def take(self, first: int, stop: int) -> None:
@@ -390,15 +391,11 @@ def wide_heights(
     room = FocusCurves.make(0 if known else n_frames, (min(n_rows, _WIDE_ROWS), cols))
     for n, rows in enumerate(row_parts(n_rows, _WIDE_ROWS)):
         part = found.rows(rows)
-        curves = known.curves[n] if known else room.cut(_length(rows))
+        curves = known.curves[n] if known else room.cut(rows_in(rows))
         if known is None:
             _average_levels(peaks.coarse, cells, rows.start, line, curves)
         find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part, window)
     return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)
-
-
-def _length(part: slice) -> int:
-    return part.stop - part.start
 
 
 def _no_grey(n_frames: int, part: Peaks) -> StackSource:

@@ -237,8 +237,8 @@ def warm_up(frames: Frames, window: int) -> None:
     sides = classify_sides(_outline_grey(frames, band, threads=1), band, dark_counts=1.0)
     shape = frames.shape
     z_um, passed = np.zeros(shape, np.float32), np.ones(shape, np.bool_)
-    surroundings(silhouette, 0.0, z_um, passed, 1.0, BAND_REACH_PX)
-    side_heights_um(z_um, passed, np.zeros(shape, frames.dtype), band, sides, 1.0, 1.0)
+    level = surroundings(silhouette, 0.0, z_um, passed, 1.0, BAND_REACH_PX).level
+    side_heights_um(z_um, passed, np.zeros(shape, frames.dtype), band, sides, 1.0, 1.0, level)
     blurred(z_um, 1.0)
     expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
     how = EdgeSearch("rims", window, 1, 1.0, CameraNoise(0.5, 80.0), 1.0)

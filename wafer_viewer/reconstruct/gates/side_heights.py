@@ -77,7 +77,7 @@ def side_heights_um(
     sides: Sides,
     dark_counts: float,
     tolerance_um: float,
-    level: NDArray[np.bool_] | None = None,
+    level: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the heights of the dark and the bright side, float32 [row / 4, col / 4]; NaN without an anchor nearby.
 
@@ -90,9 +90,7 @@ def side_heights_um(
     nothing = np.float32(np.nan)
     bright_um = _from_anchors(np.where(bright, heights, nothing), tolerance_um)
     apart = np.abs(heights - bright_um) > ANCHOR.apart * tolerance_um
-    lines = halved(sides.bright_share) >= ANCHOR.barrier_share
-    if level is not None:
-        lines &= ~level
+    lines = (halved(sides.bright_share) >= ANCHOR.barrier_share) & ~level
     dark_um = _from_anchors(np.where(far_dark | (near_dark & apart), heights, nothing), tolerance_um, lines)
     return dark_um, bright_um
 

@@ -6,8 +6,6 @@ in less time than a general sparse matrix takes to be put together.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Numbers
@@ -35,6 +33,8 @@ def joint_step(
 
     off: [e, 2], difference of the places of both ends less the measured one; prior: gradient of the stage's, [n, 2].
     """
+    from scipy.linalg import solveh_banded
+
     a, b = ends
     xx, xy, yy = precision.T
     push = np.column_stack((xx * off[:, 0] + xy * off[:, 1], xy * off[:, 0] + yy * off[:, 1]))
@@ -51,9 +51,9 @@ def joint_step(
         matrix = _sparse(ends, precision, scatter, free)
         system = System(matrix, np.zeros((matrix.shape[0], 0)), np.zeros((0, 0)))
         return -prepare(system, *stage[free].T).solve(gradient[free].reshape(-1, 1), RELAXED_TOLERANCE).reshape(-1, 2)
-    solved, band = gradient[order].ravel(), np.zeros((2 * len(order), width))
+    band = np.zeros((width, 2 * len(order)))
     _fill_band(place[a], place[b], precision, 1 / scatter**2, band)
-    _solve_banded(band, solved)
+    solved = solveh_banded(band, gradient[order].ravel(), overwrite_ab=True, lower=True, check_finite=False)
     return -solved.reshape(-1, 2)[np.argsort(order)]
 
 
@@ -75,10 +75,9 @@ def _sparse(ends: tuple[Ints, Ints], precision: Numbers, scatter: Numbers, free:
 
 @lean_kernel
 def _fill_band(first: Ints, second: Ints, precision: Numbers, prior: Numbers, band: Numbers) -> None:
-    """Fill the lower band of the same matrix, [row, col - row + width - 1]; fields below 0 do not move."""
-    diagonal = band.shape[1] - 1
-    for i in range(band.shape[0]):
-        band[i, diagonal] = prior[i % 2]
+    """Fill the lower band of the same matrix, [row - col, col]; fields below 0 do not move."""
+    for i in range(band.shape[1]):
+        band[0, i] = prior[i % 2]
     for e in range(first.size):
         a, b = max(first[e], second[e]), min(first[e], second[e])
         for i in range(2):
@@ -86,26 +85,6 @@ def _fill_band(first: Ints, second: Ints, precision: Numbers, prior: Numbers, ba
                 value = precision[e, i + j]
                 for field in (a, b):
                     if field >= 0 and j <= i:
-                        band[2 * field + i, j - i + diagonal] += value
+                        band[i - j, 2 * field + j] += value
                 if b >= 0:
-                    band[2 * a + i, 2 * (b - a) + j - i + diagonal] -= value
-
-
-@lean_kernel
-def _solve_banded(band: Numbers, right: Numbers) -> None:
-    """Solve a positive definite system by Cholesky decomposition; band and right side are overwritten."""
-    n, diagonal = band.shape[0], band.shape[1] - 1
-    for i in range(n):
-        start = max(0, i - diagonal)
-        for j in range(start, i + 1):
-            total = band[i, j - i + diagonal]
-            for k in range(max(start, j - diagonal), j):
-                total -= band[i, k - i + diagonal] * band[j, k - j + diagonal]
-            band[i, j - i + diagonal] = math.sqrt(total) if i == j else total / band[j, diagonal]
-        for j in range(start, i):
-            right[i] -= band[i, j - i + diagonal] * right[j]
-        right[i] /= band[i, diagonal]
-    for i in range(n - 1, -1, -1):
-        right[i] /= band[i, diagonal]
-        for j in range(max(0, i - diagonal), i):
-            right[j] -= band[i, j - i + diagonal] * right[i]
+                    band[2 * (a - b) + i - j, 2 * b + j] -= value
