@@ -365,20 +365,19 @@ def agreement_fraction(blocks: BlockGradients, noise: float) -> float:
 
     A block of strong contrast has no more weight than others with a signal above noise.
     """
-    room = np.empty((3, len(blocks.pixels)))
-    return _agreement(blocks.pixels, blocks.first, blocks.second, blocks.both, noise, room)
+    return _agreement(blocks.table, noise, np.empty((3, len(blocks.table))))
 
 
 @lean_kernel
-def _agreement(
-    pixels: Float64s, first: Float64s, second: Float64s, both: Float64s, noise: float, room: Float64s
-) -> float:
-    n, of_noise, total = pixels.size, (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2, 0.0
+def _agreement(table: Float64s, noise: float, room: Float64s) -> float:
+    """Return that fraction; a column of one block would be another kind of array, for which numba compiles anew."""
+    n, of_noise, total = len(table), (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2, 0.0
     visible, correlation = room[0], room[1]
     for b in range(n):
-        strength = math.sqrt(first[b] * second[b]) / max(pixels[b], 1.0)
-        visible[b] = pixels[b] * strength**2 / (strength**2 + of_noise + 1e-30)
-        correlation[b] = both[b] / max(strength * pixels[b], 1e-30)
+        pixels, first, second, both = table[b, 2], table[b, 3], table[b, 4], table[b, 5]
+        strength = math.sqrt(first * second) / max(pixels, 1.0)
+        visible[b] = pixels * strength**2 / (strength**2 + of_noise + 1e-30)
+        correlation[b] = both / max(strength * pixels, 1e-30)
         total += visible[b]
     if not total > 0:
         return 0.0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter, map_coordinates
 from scipy.special import erf
 
+from wafer_viewer.numerics import block_gradients
 from wafer_viewer.numerics.block_sums import block_sums, smoothed, taps
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align
 
@@ -172,3 +173,9 @@ def test_where_only_a_part_fits_little_agrees():
     mixed = np.where(np.arange(SHAPE[0])[:, None] < 60, second.values, 1.4 * other.values)
     assert align(first, picture(mixed), (0.0, 0.0), 20).agreeing < 0.5
     assert align(first, second, (0.0, 0.0), 20).agreeing > 0.95
+
+
+def test_one_block_is_compiled_for_with_several() -> None:
+    first, second = two((0.3, 0.2), 0.05)
+    assert [align(first, second, (0.0, 0.0), side).n_blocks == 1 for side in (200, 24)] == [True, False]
+    assert len(block_gradients._agreement.signatures) == 1
