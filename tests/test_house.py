@@ -121,6 +121,13 @@ def test_importing_the_package_pulls_in_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_profiles_steps_and_gauge_checks_need_no_compiler():
+    tools = "wafer_viewer.measure.tools.profile, wafer_viewer.measure.tools.step_height"
+    code = f"import sys, wafer_viewer.measure.gauge.gauge_check, {tools}; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
 @pytest.mark.slow
 def test_the_page_and_its_render_process_start_without_what_draws_for_print():
     started = "wafer_viewer.gui.app, wafer_viewer.session.rendering.render_dispatch"

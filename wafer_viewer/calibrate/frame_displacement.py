@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.cross_correlation import contrast, normalised_cross_correlation
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, SubpixelShift, align
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.correlation import autocorrelation
+from wafer_viewer.numerics.autocorrelation import autocorrelation
 from wafer_viewer.numerics.filters.gaussian import ALPHA, gaussian_mean
 from wafer_viewer.numerics.filters.interpolation import polynomial
 

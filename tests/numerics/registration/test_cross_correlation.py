@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.cross_correlation import contrast, normalised_cross_correlation
 
 
 @pytest.mark.parametrize("known", [0.8, 1.0])

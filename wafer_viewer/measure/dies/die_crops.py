@@ -18,7 +18,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
-from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.cross_correlation import contrast, normalised_cross_correlation
 from wafer_viewer.numerics.grids.die_cell_kernels import fill_single_pixels, median_and_spread, read_affine
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, align
 

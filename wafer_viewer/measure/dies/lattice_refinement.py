@@ -15,7 +15,7 @@ from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
+from wafer_viewer.numerics.cross_correlation import contrast, normalised_cross_correlation
 from wafer_viewer.numerics.jit import Bools, Float32s
 
 

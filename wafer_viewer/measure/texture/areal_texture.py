@@ -19,7 +19,7 @@ from wafer_viewer.model.measurement.measurements import Texture
 from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.correlation import autocorrelation
+from wafer_viewer.numerics.autocorrelation import autocorrelation
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean
 from wafer_viewer.numerics.filters.interpolation import polynomial
 from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid

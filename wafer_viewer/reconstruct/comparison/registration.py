@@ -306,7 +306,7 @@ def _turns() -> Iterator[float]:
 
 def _match_sigmas(read: Read, resampled: ResampledMosaic, at_um: tuple[float, float], level: int) -> float:
     """Return the significance of the correlation of a patch, in standard deviations."""
-    from wafer_viewer.numerics.correlation import contrast, normalised_cross_correlation
+    from wafer_viewer.numerics.cross_correlation import contrast, normalised_cross_correlation
 
     pixel = resampled.first.pixel_um * 2**level
     one = resampled.first.window(_square(at_um, pixel, PATCHES.side_px).region, level)

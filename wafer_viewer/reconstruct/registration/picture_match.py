@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.correlation import Likeness, contrast, normalised_cross_correlation
+from wafer_viewer.numerics.cross_correlation import Likeness, contrast, normalised_cross_correlation
 from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align, held_directions
 from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, binned_valid
 
