@@ -121,7 +121,8 @@ def line(address: str) -> Iterator[SlowLine]:
 
 
 def at_rest(page: Page, sent: Sent) -> None:
-    """Until no more tiles are sent, and those sent are processed."""
+    """Until tiles have been sent, no more follow, and those sent are processed."""
+    eventually(lambda: sent.n_tiles > 0, "the first tile is sent", SETTLED_S)
     before = -1
     while before != sent.n_tiles or not sent.processed:
         before = sent.n_tiles
