@@ -160,7 +160,8 @@ def search(first_us):
 
 @pytest.mark.parametrize("first_us", [20.0, 3000.0])
 def test_the_virtual_rig_settles_over_the_range_of_its_fields(first_us):
-    rig, watch = VirtualRig("gauge_blocks", limits=virtual_limits(64, 96)), Watch()
+    # Of a picture this large, three pixels may be brighter: the noise of a single one does not decide.
+    rig, watch = VirtualRig("gauge_blocks", limits=virtual_limits(150, 200)), Watch()
     with rig_at_rest(rig):
         found = search(first_us).run(rig, watch)
         again = search(found.single.exposure_us).run(rig, Watch())
