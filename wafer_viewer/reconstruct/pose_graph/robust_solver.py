@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers
-from wafer_viewer.reconstruct.pose_graph.amg_solver import Solver, prepare
+from wafer_viewer.reconstruct.pose_graph.amg_solver import DIRECT_FIELDS, Solver, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
 from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, gradient, normal_equations
 
@@ -116,30 +116,48 @@ def solve_robust(
     decide: returns the weights [e] of overlaps that residuals alone cannot determine, NaN for others; like: solution of
     a similar graph, used as a faster start. The graph is returned with the estimated standard deviations of its priors.
     """
-    telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
+    constants = _Constants.of(network)
     shared = np.zeros(len(network.shared_sigma))
-    solution = RobustSolution(values.copy(), shared, (telling > 0).astype(float))
+    solution = RobustSolution(values.copy(), shared, (constants.telling > 0).astype(float))
     if like is not None:
         solution = RobustSolution(like.values, shared, like.weight, like.excess, like.scale)
-    decided = np.full(len(telling), np.nan)
+    decided = np.full(len(network.first), np.nan)
     for _ in range(ROBUST.most_verdicts if decide else 1):
-        network, solution = _rounds(network, solution, telling, decided)
+        network, solution = _rounds(network, solution, constants, decided)
         decided, before = decide(network, solution) if decide else decided, decided
         solution = solution.without_solver
         if np.array_equal(decided, before, equal_nan=True):
             break
-    return network, _least_squares_step(network, solution, intermediate=False)
+    return network, _least_squares_step(network, solution)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Constants:
+    """Parts of a solution that no round changes.
+
+    telling: number of directions that each overlap determines, [e]; redundancy: fraction of these beyond the unknowns;
+    probes: random sign vectors [unknowns, probes] for each group of unknowns with an estimated prior.
+    """
+
+    telling: NDArray[np.intp]
+    redundancy: float
+    probes: Numbers
+
+    @classmethod
+    def of(cls, network: PoseGraph) -> _Constants:
+        telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
+        return cls(telling, _redundancy(network, telling), _probes(network))
 
 
 def _rounds(
-    network: PoseGraph, solution: RobustSolution, telling: NDArray[np.intp], decided: Numbers
+    network: PoseGraph, solution: RobustSolution, constants: _Constants, decided: Numbers
 ) -> tuple[PoseGraph, RobustSolution]:
     """Solve and reweight until the weights converge, except those that are `decided` (not NaN)."""
     for _ in range(ROBUST.most_rounds):
         before, sigma, solution = solution.weight, network.prior_sigma, solution.without_solver
-        solution = _least_squares_step(network, solution, intermediate=True)
-        network = _with_estimated_priors(network, solution)
-        solution = _reweighted(network, solution, telling, decided)
+        solution = _least_squares_step(network, solution, constants.probes)
+        network = _with_estimated_priors(network, solution, constants.probes)
+        solution = _reweighted(network, solution, constants, decided)
         restless = np.count_nonzero(np.abs(solution.weight - before) > ROBUST.steady)
         moved = np.abs(np.log(network.prior_sigma / sigma)).max()
         if (
@@ -151,13 +169,14 @@ def _rounds(
     return network, solution
 
 
-def _least_squares_step(network: PoseGraph, solution: RobustSolution, intermediate: bool) -> RobustSolution:
-    """Perform one least squares step with the current weights."""
+def _least_squares_step(network: PoseGraph, solution: RobustSolution, probes: Numbers | None = None) -> RobustSolution:
+    """Perform one least squares step with the current weights; probes: of an intermediate step, which is less exact."""
     weight = solution.weight / solution.excess**2
     free = network.ties.free
     solver = prepare(normal_equations(network, weight), network.x_um[free], network.y_um[free])
     downhill = _gradient(network, solution, weight)
-    probes = _probes(network, solver) if intermediate else downhill[:, :0]
+    intermediate = probes is not None
+    probes = downhill[:, :0] if probes is None else probes
     begun = np.hstack(
         (np.zeros_like(downhill), 0 * probes if solution.echoes is None else solution.echoes[:, : probes.shape[1]])
     )
@@ -182,13 +201,13 @@ def _gradient(network: PoseGraph, solution: RobustSolution, weight: Numbers) -> 
     return gradient(network, by_overlap, by_prior[:, :, None], by_shared[:, None])
 
 
-def _probes(network: PoseGraph, solver: Solver) -> Numbers:
+def _probes(network: PoseGraph) -> Numbers:
     """Return random sign vectors [unknowns, probes] for each group of unknowns with an estimated prior.
 
     The product of a probe with its solution is, on average, the trace of the inverse (Hutchinson 1990); in large
     systems one probe suffices.
     """
-    each = 1 if solver.levels else ROBUST.probes
+    each = 1 if np.count_nonzero(network.ties.free) > DIRECT_FIELDS else ROBUST.probes
     n, d, m = len(network.x_um), network.size, len(network.shared_sigma)
     signs = np.zeros((n, d, each * len(network.auto)))
     random = np.random.default_rng(3)
@@ -198,18 +217,14 @@ def _probes(network: PoseGraph, solver: Solver) -> Numbers:
     return gradient(network, nothing, signs, np.zeros((m, signs.shape[2])))
 
 
-def _with_estimated_priors(network: PoseGraph, solution: RobustSolution) -> PoseGraph:
+def _with_estimated_priors(network: PoseGraph, solution: RobustSolution, probes: Numbers) -> PoseGraph:
     """Update the prior widths from prior residuals and their uncertainty (EM, Dempster 1977)."""
-    if not network.auto or solution.solver is None or solution.echoes is None:
+    if not network.auto or solution.echoes is None:
         return network
     surprise = np.clip(
         network.surprise(solution.values, solution.shared), *ROBUST.far * np.outer((-1, 1), network.prior_sigma)
     )
-    traces = (
-        np.einsum("nk,nk->k", _probes(network, solution.solver), solution.echoes)
-        .reshape(len(network.auto), -1)
-        .mean(axis=1)
-    )
+    traces = np.einsum("nk,nk->k", probes, solution.echoes).reshape(len(network.auto), -1).mean(axis=1)
     sigma = network.prior_sigma.copy()
     for group, trace in zip(network.auto, traces, strict=True):
         total = np.sum(surprise[:, group] ** 2) + trace + ROBUST.usually * np.sum(network.prior_guess[list(group)] ** 2)
@@ -218,30 +233,38 @@ def _with_estimated_priors(network: PoseGraph, solution: RobustSolution) -> Pose
 
 
 def _reweighted(
-    network: PoseGraph, solution: RobustSolution, telling: NDArray[np.intp], decided: Numbers
+    network: PoseGraph, solution: RobustSolution, constants: _Constants, decided: Numbers
 ) -> RobustSolution:
     """Compute new weights at the next smaller scale, and the inflation of the residuals."""
+    telling = constants.telling
     counts = telling > 0
     if not np.any(counts):
         return dataclasses.replace(solution, scale=0.0)
     misfit = network.misfit(solution.values, solution.shared)
     chi2 = np.einsum("ea,eab,eb->e", misfit, network.information, misfit) / np.maximum(telling, 1)
-    excess = _variance_inflation(network, chi2, telling)
+    excess = _variance_inflation(constants, chi2)
     scale = max(ROBUST.misfits * excess, min(solution.scale, float(np.sqrt(chi2[counts].max()))) / 2)
     weight = np.where(np.isnan(decided), counts / (1 + chi2 / scale**2) ** 2, decided)
     return dataclasses.replace(solution, weight=weight, excess=excess, scale=scale)
 
 
-def _variance_inflation(network: PoseGraph, chi2: Numbers, telling: NDArray[np.intp]) -> float:
-    """Return the variance inflation, at least 1, from the median residual and the redundancy."""
+def _redundancy(network: PoseGraph, telling: NDArray[np.intp]) -> float:
+    """Return the fraction of what overlaps tell that exceeds the unknowns they determine; 0 if they tell nothing."""
     counts, free = telling > 0, network.ties.free
+    if not np.any(counts):
+        return 0.0
     group = groups(len(free), network.first[counts], network.second[counts])
     loose = len(np.setdiff1d(group[free], group[~free]))
     unknowns = network.size * (int(free.sum()) - loose)
-    redundancy = 1 - unknowns / telling.sum()
-    if redundancy < ROBUST.least_redundancy:
+    return float(1 - unknowns / telling.sum())
+
+
+def _variance_inflation(constants: _Constants, chi2: Numbers) -> float:
+    """Return the variance inflation, at least 1, from the median residual and the redundancy."""
+    if constants.redundancy < ROBUST.least_redundancy:
         return 1.0
-    expected = _MEDIAN_CHI2[round(float(np.median(telling[counts])))] * redundancy
+    counts = constants.telling > 0
+    expected = _MEDIAN_CHI2[round(float(np.median(constants.telling[counts])))] * constants.redundancy
     return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, ROBUST.most_excess))
 
 
