@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.sessions import fake_session as fake
-from tests.browser.steps import eventually, go_to, press, text_field, title_is, type_into
+from tests.browser.steps import camera_at_rest, eventually, go_to, press, stored, text_field, title_is, type_into
 from wafer_viewer.model.job import SavedView
 
 pytestmark = [
@@ -31,6 +31,21 @@ def test_a_key_works_while_a_ticked_checkbox_has_the_focus(serve: Serve):
     expect(page.get_by_label("One z")).to_be_focused()
     page.keyboard.press("k")
     title_is(page, "Step height")
+
+
+def test_an_arrow_moves_the_slider_that_has_the_focus_and_not_the_camera(serve: Serve):
+    page = serve(fake.FakeSession(fake.measured()))
+    go_to(page, "Surface")
+    slider = page.get_by_role("slider").first
+    slider.focus()
+    eventually(lambda: camera_at_rest(page), "the camera at rest")
+    before, value = stored(page, "camera"), float(slider.get_attribute("aria-valuenow") or "nan")
+    page.keyboard.down("ArrowRight")
+    page.wait_for_timeout(1500)
+    page.keyboard.up("ArrowRight")
+    expect(slider).not_to_have_attribute("aria-valuenow", f"{value:g}")
+    eventually(lambda: camera_at_rest(page), "the camera at rest again")
+    assert stored(page, "camera") == before
 
 
 def test_letters_go_into_a_field_until_it_is_left(serve: Serve):

@@ -53,6 +53,12 @@ window.addEventListener('keydown', event => {
   }
 }, true);
 
+/* A key that moved a slider does nothing else: viser's camera would turn with it. */
+const MOVES = ['ArrowUp', 'ArrowDown', 'ArrowLeft', 'ArrowRight', 'PageUp', 'PageDown', 'Home', 'End'];
+document.body.addEventListener('keydown', event => {
+  if (MOVES.includes(event.key) && event.target.closest?.('[role=slider]')) event.stopPropagation();
+});
+
 /* A list that was chosen from with the mouse would keep all keys to itself; another that was opened since keeps them. */
 const leave = field => { if (document.activeElement === field) field?.blur(); };
 document.addEventListener('click', event => {
