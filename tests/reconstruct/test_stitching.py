@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import wafer_viewer as wv
-from tests.truth.field_grid import PIXEL_UM, SMALL, make
+from tests.truth.field_grid import PIXEL_UM, SMALL, make, simulated, truth_of
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import Provenance
@@ -122,6 +122,21 @@ def test_a_search_at_its_limit_is_rejected_for_the_stage_position(made):
     mosaic = wv.stitch(made.heights, made.fields, Recipe(stitching=Stitching(search_um=0.5)))
     doubt = mosaic.poses.shifts.doubt
     assert (doubt != RejectionReason.NONE).sum() > len(doubt) / 2
+
+
+def test_the_uncertainties_of_small_overlaps_are_not_too_small_by_chance():
+    """Their two or three displaced parts say little about how far parts of this scan are displaced."""
+    normalised = []
+    for seed in range(1040, 1045):
+        grid = dataclasses.replace(SMALL, seed=seed)
+        truth, fields = truth_of(grid), grid.plan.fields()
+        poses = wv.stitch([simulated(truth, field, n) for n, field in enumerate(fields)], fields).poses
+        shifts, moved_x, moved_y = poses.shifts, truth.x_um - poses.stage_x_um, truth.y_um - poses.stage_y_um
+        off_x = shifts.x_um - (moved_x[shifts.second] - moved_x[shifts.first])
+        off_y = shifts.y_um - (moved_y[shifts.second] - moved_y[shifts.first])
+        normalised.append(np.column_stack((off_x / shifts.u_x_um, off_y / shifts.u_y_um))[shifts.believed])
+    assert np.mean(np.abs(np.concatenate(normalised)) > 3) < 0.03
+    assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate(normalised)))) < 1.2
 
 
 def _off_px(poses, made) -> np.ndarray:

@@ -28,11 +28,35 @@ _LEAST_REAL = 0.05
 """Smallest real fraction of a Hessian."""
 _LEAST_BLOCKS = 4
 """Smallest number of blocks for a covariance."""
-_DRIFT = 1.5
-"""Variance of a lag by shifts that vary smoothly over the blocks, relative to that of the shifts: parts of a picture
-that come from different frames. Simulated optics of tests/truth/field_grid.py, seeds 2 to 9, set it."""
+_DRIFT = 2.1
+"""Variance of a lag by drift, relative to that of the shifts of blocks over the root of its degrees of freedom.
+
+Drift is what shifts blocks smoothly: parts of a picture that come from different frames. That of n equal parts would
+fall with n, but nothing tells how large they are. Simulated optics of tests/truth/field_grid.py set it and the numbers
+of blocks: fields of 200 x 270 to 1080 x 1440, seeds 2 to 21 and 200 to 299.
+"""
+_DRIFT_BLOCKS, _LEAST_FREEDOM = 8.0, 2.0
+"""Number of blocks for a degree of freedom of drift, and the smallest number of these."""
 _LEAST_BLOCKS_BENT = 8
 """Smallest number of blocks for a shift that varies across them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LagErrors:
+    """Covariance of a lag, [2, 2], drift included, infinite where undetermined; and what the drift is.
+
+    drift: variance of the shifts of blocks beyond those between neighbours, along rows and columns, [2]; below zero by
+    chance, NaN where it is unknown; freedom: its degrees of freedom.
+    """
+
+    covariance: Numbers
+    drift: Numbers
+    freedom: float
+
+
+def variance_per_drift(freedom: Numbers | float) -> Numbers:
+    """Return the variance of a lag for a unit variance of drift with some degrees of freedom."""
+    return np.asarray(_DRIFT / np.sqrt(freedom), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +240,7 @@ def _sort(values: Float64s, ordered: Float64s) -> None:
         gap //= 2
 
 
-def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Numbers:
+def lag_errors(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> LagErrors:
     """Return the covariance of the lag from the scatter of the gradients; infinite for a singular Hessian.
 
     held: unit vectors of the determined directions, [2, k]; `LOOSE_PX` is the standard uncertainty in the other.
@@ -225,14 +249,15 @@ def covariance(blocks: BlockGradients, stiffness: Numbers, held: Numbers) -> Num
     (A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29 (2011) 238), or in areas of a picture that come
     from different frames, whichever is more. Shifts of single blocks beyond those between neighbours do too.
     """
-    n, known = len(blocks.pixels), np.empty((2, 2))
-    if n < _LEAST_BLOCKS:
-        return np.full((2, 2), np.inf)
-    room, table, small = np.empty((blocks.grid[0] * blocks.grid[1], 3)), np.empty((2, n, 2)), np.empty((14, 2))
-    _fill_covariance(
-        blocks.pull, blocks.stiffness, blocks.index, blocks.grid, stiffness, held, room, table, small, known
-    )
-    return known
+    n, known, drift = len(blocks.pixels), np.full((2, 2), np.inf), np.full(2, np.nan)
+    freedom = max(_LEAST_FREEDOM, n / _DRIFT_BLOCKS)
+    if n >= _LEAST_BLOCKS:
+        room, table, small = np.empty((blocks.grid[0] * blocks.grid[1], 3)), np.empty((2, n, 2)), np.empty((14, 2))
+        _fill_covariance(
+            *(blocks.pull, blocks.stiffness, blocks.index, blocks.grid, stiffness, held),
+            *(float(variance_per_drift(freedom)), room, table, small, known, drift),
+        )
+    return LagErrors(known, drift if held.shape[1] == 2 else np.full(2, np.nan), freedom)
 
 
 @lean_kernel
@@ -243,15 +268,17 @@ def _fill_covariance(
     grid: tuple[int, int],
     stiffness: Float64s,
     held: Float64s,
+    per_drift: float,
     room: Float64s,
     table: Float64s,
     small: Float64s,
     known: Float64s,
+    drift: Float64s,
 ) -> None:
     n, k = index.shape[0], held.shape[1]
     pull, stiff = table[0, :, :k], table[1, :, :k]
     hessian, inverse, spread, by, clusters = small[:2], small[2:4], small[4:6], small[6:8], small[8:12]
-    more, drift = small[12], small[13]
+    more, by_drift = small[12], small[13]
     _project(block_pull, block_stiffness, held, pull, stiff)
     for i in range(k):
         for j in range(k):
@@ -276,7 +303,8 @@ def _fill_covariance(
         total = 0.0
         for b in range(n):
             total += stiff[b, j]
-        drift[j] *= _DRIFT / max(hessian[j, j] / max(total, 1e-30), _LEAST_REAL) ** 2
+        drift[j] /= max(hessian[j, j] / max(total, 1e-30), _LEAST_REAL) ** 2
+        by_drift[j] = per_drift * drift[j] if drift[j] > 0 else 0.0
         for a in range(2):
             by[a, j] = 0.0
             for i in range(k):
@@ -285,7 +313,7 @@ def _fill_covariance(
         for b in range(2):
             known[a, b] = LOOSE_PX**2 if k == 1 and a == b else 0.0
             for i in range(k):
-                known[a, b] += held[a, i] * held[b, i] * (drift[i] - (LOOSE_PX**2 if k == 1 else 0.0))
+                known[a, b] += held[a, i] * held[b, i] * (by_drift[i] - (LOOSE_PX**2 if k == 1 else 0.0))
                 for j in range(k):
                     known[a, b] += by[a, i] * spread[i, j] * by[b, j]
 
@@ -332,8 +360,7 @@ def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -
                         off = pull[b, j] / stiff[b, j] - pull[c, j] / stiff[c, j]
                         between += weight * off * off / 2
                         of_pairs += weight
-        if of_pairs > 0:
-            out[j] = max(0.0, total / of_all - between / of_pairs)
+        out[j] = total / of_all - between / of_pairs if of_pairs > 0 else math.nan
 
 
 @lean_kernel

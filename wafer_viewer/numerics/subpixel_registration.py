@@ -18,8 +18,8 @@ from wafer_viewer.numerics.block_gradients import (
     BlockGradients,
     agreement_fraction,
     block_gradients,
-    covariance,
     decreases,
+    lag_errors,
     shift_gradient,
 )
 from wafer_viewer.numerics.block_sums import Numbers, block_sums, smoothed
@@ -132,7 +132,7 @@ class SubpixelShift:
     agreeing: fraction of the contrast in blocks that fit on their own; bent_px: deviation of the lags of the outermost
     blocks from that in the middle, and bent_sigmas: its significance; n_blocks: number of blocks; unexplained: fraction
     of the variance within them that the lag leaves; held: unit vectors of the directions that the picture determines,
-    [2, k].
+    [2, k]; drift, drift_freedom: as in `LagErrors`.
     """
 
     lag: Lag
@@ -145,6 +145,8 @@ class SubpixelShift:
     n_blocks: int
     unexplained: float
     held: Numbers
+    drift: Numbers
+    drift_freedom: float
 
 
 def held_directions(covariance: Numbers) -> Numbers:
@@ -188,11 +190,11 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         stiffness = surface.measured
     elif not roughly and not _is_clear(pulls, noise, surface.held):
         stiffness = _hessian_by_differences(first, second, lag, side)
-    alike, known = pulls.correlation, covariance(pulls, stiffness, surface.held)
+    alike, errors = pulls.correlation, lag_errors(pulls, stiffness, surface.held)
     bent_px, bent_sigmas = shift_gradient(pulls) if surface.held.shape[1] == 2 else (0.0, 0.0)
     return SubpixelShift(
         lag,
-        known,
+        errors.covariance,
         alike,
         agreement_fraction(pulls, noise),
         bent_px / ease,
@@ -200,7 +202,9 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         float(pulls.pixels.sum()),
         len(pulls.pixels),
         1 - alike**2,
-        held_directions(known),
+        held_directions(errors.covariance),
+        errors.drift,
+        errors.freedom,
     )
 
 

@@ -37,6 +37,7 @@ from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
 from wafer_viewer.reconstruct.pose_graph.stage_errors import LEAST_TIED
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
+from wafer_viewer.reconstruct.registration.drift_pool import with_pooled_drift
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.misfit_search import (
     NO_MISFITS,
@@ -339,7 +340,7 @@ def _solved_positions(fields: FieldsToPlace, shifts: Shifts) -> Positions:
     return solve_positions(
         x_um,
         y_um,
-        shifts,
+        with_pooled_drift(shifts),
         fields.outlines[0].pixel_um,
         stage_error_um=fields.stitching.stage_error_um,
         fixed=fields.fixed,

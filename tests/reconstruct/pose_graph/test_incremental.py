@@ -6,8 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.model.surface.field_poses import Poses, RejectionReason, Shifts, no_candidates, no_seams
+from wafer_viewer.model.surface.field_poses import (
+    Poses,
+    RejectionReason,
+    Shifts,
+    no_candidates,
+    no_seams,
+    unknown_drift,
+)
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, freeze_unmoved_fields
+from wafer_viewer.reconstruct.registration.drift_pool import with_own_drift, with_pooled_drift
 
 
 def _shifts(pairs: np.ndarray) -> Shifts:
@@ -21,6 +29,7 @@ def _shifts(pairs: np.ndarray) -> Shifts:
         10.0 * first + second,
         *(zero, zero, zero, share, code, code, share, zero, zero, zero),
         no_candidates(n),
+        unknown_drift(n),
     )
 
 
@@ -66,6 +75,18 @@ def test_what_an_earlier_solution_did_not_believe_is_judged_anew():
     )
     again = valid.shifts(np.array([[0, 1], [1, 2]], np.int32), _Looker())
     assert again.doubt.tolist() == [RejectionReason.NONE, RejectionReason.BLANK]
+
+
+def test_an_overlap_is_as_sure_as_it_was_measured_whatever_the_others_showed_earlier():
+    pairs = np.array([[0, 1], [1, 2]])
+    drift = np.array([[0.001, 0.001, 0.0, 0.02, 2.0], [0.001, 0.001, 0.04, 0.0, 2.0]])
+    measured = with_own_drift(replace(_shifts(pairs), drift=drift))
+    pooled = with_pooled_drift(measured)
+    assert np.all(pooled.u_x_um != measured.u_x_um)
+    numbers, marks = np.array([1, 2, 3], np.int32), np.ones(3, np.int64)
+    again = PreviousSolution.of(_poses([1, 2, 3], [1, 1, 1], pooled), numbers, marks).shifts(pairs, _Looker())
+    np.testing.assert_array_equal(again.u_x_um, measured.u_x_um)
+    np.testing.assert_array_equal(again.u_y_um, measured.u_y_um)
 
 
 def test_a_field_that_hardly_moves_stays_where_it_is_drawn():

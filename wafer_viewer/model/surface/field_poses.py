@@ -54,6 +54,8 @@ DOUBT_WORDS: dict[RejectionReason, str] = {
 
 N_CANDIDATE = 6
 """Length of a row of `Shifts.candidates`."""
+N_DRIFT = 5
+"""Length of a row of `Shifts.drift`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +67,9 @@ class Shifts:
     by: `ObservationSource`; doubt: `RejectionReason`, from the overlap alone until the poses are solved; weight: 0 ...
     1, in the solution; residual_x_um, residual_y_um: measured minus solved; covariance_um2: of the errors along x and
     y; candidates: float32 [n, k, 6], where a repeating pattern fits at several offsets, for each of them x_um, y_um,
-    its precision (xx, xy, yy in 1/um^2) and its misfit above the best one, in nats; NaN in unused rows.
+    its precision (xx, xy, yy in 1/um^2) and its misfit above the best one, in nats; NaN in unused rows; drift: [n, 5],
+    squares of u_x_um and u_y_um without drift, variances along x and y of the shifts of parts of the overlap against
+    each other, less that of noise (um^2), and the degrees of freedom of these; NaN where they are unknown.
     """
 
     first: NDArray[np.int32]
@@ -82,6 +86,7 @@ class Shifts:
     residual_y_um: Numbers
     covariance_um2: Numbers
     candidates: NDArray[np.float32]
+    drift: Numbers
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
@@ -249,12 +254,17 @@ def no_shifts() -> Shifts:
     integers, floats = np.zeros(0, np.int32), np.zeros(0)
     code, share = np.zeros(0, np.uint8), np.zeros(0, np.float32)
     measured = (floats, floats, floats, floats, share, code, code, share, floats, floats, floats)
-    return Shifts(integers, integers, *measured, no_candidates(0))
+    return Shifts(integers, integers, *measured, no_candidates(0), unknown_drift(0))
 
 
 def no_candidates(n: int) -> NDArray[np.float32]:
     """Return `Shifts.candidates` of n overlaps that fit at one offset only."""
     return np.zeros((n, 0, N_CANDIDATE), np.float32)
+
+
+def unknown_drift(n: int) -> Numbers:
+    """Return `Shifts.drift` of n overlaps whose drift is unknown."""
+    return np.full((n, N_DRIFT), np.nan)
 
 
 def no_seams() -> HeightOffsets:

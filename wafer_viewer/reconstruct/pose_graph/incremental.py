@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import HeightOffsets, Poses, RejectionReason, Shifts, joined, selected
+from wafer_viewer.reconstruct.registration.drift_pool import with_own_drift
 
 Pairs = NDArray[np.int32]
 T = TypeVar("T", Shifts, HeightOffsets)
@@ -64,7 +65,7 @@ class PreviousSolution:
 
     def shifts(self, pairs: Pairs, observe: Callable[[Pairs], Shifts]) -> Shifts:
         """Return the lateral shifts of overlaps; only changed overlaps are measured again."""
-        return self._and(pairs, observe, None if self.poses is None else _without_disagreement(self.poses.shifts))
+        return self._and(pairs, observe, None if self.poses is None else _as_measured(self.poses.shifts))
 
     def seams(self, pairs: Pairs, observe: Callable[[Pairs], HeightOffsets]) -> HeightOffsets:
         """Return the height offsets of overlaps, reusing those between unchanged fields."""
@@ -93,10 +94,10 @@ def _keys(first: NDArray[np.int32], second: NDArray[np.int32], n: int) -> NDArra
     return first.astype(np.int64) * n + second
 
 
-def _without_disagreement(shifts: Shifts) -> Shifts:
-    """Clear the DISAGREES doubts of an earlier solution, because the conflicting overlaps may have changed."""
+def _as_measured(shifts: Shifts) -> Shifts:
+    """Restore shifts as measured: the overlaps that they disagree with, or share the drift with, may have changed."""
     doubt = np.where(shifts.doubt == RejectionReason.DISAGREES, np.uint8(RejectionReason.NONE), shifts.doubt)
-    return replace(shifts, doubt=doubt.astype(np.uint8))
+    return with_own_drift(replace(shifts, doubt=doubt.astype(np.uint8)))
 
 
 def _unsolved(seams: HeightOffsets) -> HeightOffsets:

@@ -20,13 +20,16 @@ from numpy.typing import NDArray
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.field_poses import (
     N_CANDIDATE,
+    N_DRIFT,
     ObservationSource,
     RejectionReason,
     Shifts,
     padded_candidates,
 )
 from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.numerics.block_gradients import variance_per_drift
 from wafer_viewer.reconstruct.focus.focus_volume import on_threads
+from wafer_viewer.reconstruct.registration.drift_pool import with_own_drift
 from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, height_of, picture_of
 from wafer_viewer.reconstruct.registration.picture_match import Candidate, Match, match, match_near
 
@@ -39,6 +42,8 @@ field.
 LEAST_MEASURED = 0.1
 """Minimum measured fraction; with fewer heights nothing was in focus, and the images are noise and may differ."""
 _LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
+DriftRow = tuple[float, ...]
+UNKNOWN_DRIFT: DriftRow = (float("nan"),) * N_DRIFT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +59,7 @@ class PairShift:
     by: ObservationSource
     doubt: RejectionReason
     candidates: NDArray[np.float32]
+    drift: DriftRow = UNKNOWN_DRIFT
 
 
 def register(
@@ -153,7 +159,11 @@ def _measured_share(first: HeightMap, second: HeightMap) -> float:
 
 
 def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShift:
-    (down, right), (u_down, u_right) = found.off_px, found.u_px
+    (down, right), (u_down, u_right), drift = found.off_px, found.u_px, UNKNOWN_DRIFT
+    if np.isfinite(found.drift).all() and by is ObservationSource.PICTURE:
+        scatter = np.diag(found.covariance) - variance_per_drift(found.drift_freedom) * np.maximum(found.drift, 0.0)
+        variances = np.concatenate((scatter[::-1], found.drift[::-1])) * pixel_um**2
+        drift = (*variances.tolist(), found.drift_freedom)
     return PairShift(
         x_um=right * pixel_um,
         y_um=-down * pixel_um,
@@ -164,6 +174,7 @@ def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShi
         by=by,
         doubt=found.doubt,
         candidates=_listed(found.candidates, pixel_um),
+        drift=drift,
     )
 
 
@@ -186,7 +197,7 @@ def _by_stage(doubt: RejectionReason) -> PairShift:
 def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
     table = np.array([(f.x_um, f.y_um, f.u_x_um, f.u_y_um, f.covariance_um2) for f in found], np.float64).reshape(-1, 5)
     doubt = np.array([f.doubt for f in found], np.uint8)
-    return Shifts(
+    shifts = Shifts(
         first=np.array(pairs[:, 0], np.int32),
         second=np.array(pairs[:, 1], np.int32),
         x_um=table[:, 0].copy(),
@@ -201,4 +212,6 @@ def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
         residual_x_um=np.zeros(len(pairs)),
         residual_y_um=np.zeros(len(pairs)),
         candidates=padded_candidates([f.candidates for f in found]),
+        drift=np.array([f.drift for f in found], np.float64).reshape(-1, N_DRIFT),
     )
+    return with_own_drift(shifts)

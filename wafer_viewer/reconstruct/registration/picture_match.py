@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,7 +161,8 @@ class Candidate:
 class Match:
     """Deviation of the second field from its stage position, (rows, cols) in px, with its covariance [2, 2].
 
-    candidates: all deviations at which a repeating pattern fits, none where only one fits.
+    candidates: all deviations at which a repeating pattern fits, none where only one fits; drift, drift_freedom: as in
+    `LagErrors`.
     """
 
     off_px: Lag
@@ -169,6 +170,8 @@ class Match:
     correlation: float
     doubt: RejectionReason
     candidates: tuple[Candidate, ...] = ()
+    drift: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
+    drift_freedom: float = 0.0
 
     @property
     def u_px(self) -> Lag:
@@ -361,6 +364,7 @@ def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
         covariance=known,
         held=held_directions(known),
         bent_px=fit.bent_px * factor,
+        drift=fit.drift * factor**2,
         n_pixels=fit.n_pixels * factor**2,
         unexplained=fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**4,
     )
@@ -412,7 +416,8 @@ def _judged(
         told += [replace(place, misfit_nats=usual_nats) for place in places]
     rivals = tuple(sorted(told, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
     is_open = doubt is RejectionReason.AMBIGUOUS and len(rivals) > 1
-    return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, rivals if is_open else ())
+    candidates, drift = rivals if is_open else (), (best.drift, best.drift_freedom)
+    return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, candidates, *drift)
 
 
 def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -> Candidate:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_candidates
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_candidates, unknown_drift
 from wafer_viewer.store.io.archives import Archive, open_archive
 from wafer_viewer.store.io.atomic_files import atomic_write
 from wafer_viewer.store.io.checksums import remedy, seal_archive
@@ -30,6 +30,7 @@ _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form
 _LATER: dict[str, Callable[[Archive], NDArray[Any]]] = {
     "shifts.covariance_um2": lambda archive: np.zeros(len(archive.array("shifts.first"))),
     "shifts.candidates": lambda archive: no_candidates(len(archive.array("shifts.first"))),
+    "shifts.drift": lambda archive: unknown_drift(len(archive.array("shifts.first"))),
     "period_odds_nats": lambda _: np.zeros(0),
 }
 """Values of columns that files of earlier versions do not have."""
