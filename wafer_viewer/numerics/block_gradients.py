@@ -348,7 +348,7 @@ def _invert(matrix: Float64s, inverse: Float64s) -> bool:
 @lean_kernel
 def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -> None:
     for j in range(out.size):
-        out[j] = total = of_all = between = of_pairs = 0.0
+        total = of_all = between = of_pairs = 0.0
         for b in range(index.shape[0]):
             if stiff[b, j] > 0:
                 total += pull[b, j] ** 2 / stiff[b, j]
