@@ -142,32 +142,46 @@ class Placing:
 
     def cost_nats(self) -> float:
         """Return minus the log likelihood of all places, apart from a constant."""
-        graph, used = self.graph, self.placed[self.graph.first] & self.placed[self.graph.second]
-        moved = self.place - self.stage
-        off = (moved[graph.second] - moved[graph.first])[used, None] - graph.offset[used]
-        xx, xy, yy = np.moveaxis(graph.precision[used], -1, 0)
-        misfit = (xx * off[..., 0] ** 2 + 2 * xy * off[..., 0] * off[..., 1] + yy * off[..., 1] ** 2) / 2
-        by_overlaps = np.minimum((misfit + graph.misfit[used]).min(axis=1), CHOICE.most_overlap_nats).sum()
-        rest = ((moved - self.shared_by @ self.shared)[self.placed & ~self.fixed]) / self.scatter
-        by_stage = np.sum(rest**2) / 2 + len(rest) * np.log(self.scatter).sum()
-        by_shared = np.sum((self.shared / self.shared_sigma(N_SHARED)) ** 2) / 2
-        return float(by_overlaps + by_stage + by_shared)
+        return float(self._overlap_nats(self.graph).sum()) + self._stage_nats()
 
     def lines_nats(self) -> float:
         """Return the log odds of these places against those with every second row or column one period further.
 
-        Infinite where fields are fixed: these hold the lines.
+        Infinite where fields are fixed: these hold the lines. Pictures that tell little of a period do not count: in
+        very many overlaps, noise and what a pattern between binned pixels shows in all of them alike would add up.
         """
         if self.fixed.any():
             return np.inf
-        own, rivals = self.cost_nats(), [np.inf]
+        odds = [np.inf]
         for axis, period in enumerate(self.graph.periods_px):
             for sign in (1.0, -1.0) if np.isfinite(period).all() else ():
                 by_lines = self.shared_by[:, axis, N_UNSETTLED + axis]
                 rival = replace(self, place=self.place + sign * by_lines[:, None] * period)
                 rival._refit(N_SHARED, with_scatter=True)
-                rivals.append(rival.cost_nats())
-        return min(rivals) - own
+                odds.append(self._odds_against(rival))
+        return min(odds)
+
+    def _odds_against(self, rival: Placing) -> float:
+        lattice = self.graph.without_misfits()
+        by_lattice = rival._overlap_nats(lattice) - self._overlap_nats(lattice)
+        by_pictures = rival._overlap_nats(self.graph) - self._overlap_nats(self.graph) - by_lattice
+        told = by_pictures[np.abs(by_pictures) > CHOICE.decides_nats]
+        return float(by_lattice.sum() + told.sum()) + rival._stage_nats() - self._stage_nats()
+
+    def _overlap_nats(self, graph: CandidateGraph) -> Numbers:
+        """Return the cost of each overlap of placed fields, with the candidates of a graph of the same overlaps."""
+        used = self.placed[graph.first] & self.placed[graph.second]
+        moved = self.place - self.stage
+        off = (moved[graph.second] - moved[graph.first])[used, None] - graph.offset[used]
+        xx, xy, yy = np.moveaxis(graph.precision[used], -1, 0)
+        misfit = (xx * off[..., 0] ** 2 + 2 * xy * off[..., 0] * off[..., 1] + yy * off[..., 1] ** 2) / 2
+        return np.minimum((misfit + graph.misfit[used]).min(axis=1), CHOICE.most_overlap_nats)
+
+    def _stage_nats(self) -> float:
+        """Return the cost of the places beside the stage, and of its shared errors."""
+        rest = ((self.place - self.stage - self.shared_by @ self.shared)[self.placed & ~self.fixed]) / self.scatter
+        by_shared = np.sum((self.shared / self.shared_sigma(N_SHARED)) ** 2) / 2
+        return float(np.sum(rest**2) / 2 + len(rest) * np.log(self.scatter).sum() + by_shared)
 
     def _relax(self) -> None:
         """Move all placed fields together to where the candidates next to them say.
