@@ -100,7 +100,7 @@ class Commands:
     def operations(self) -> list[tuple[str, str]]:
         """Kind and path of the operations that the last command noted; parts by the name they get."""
         lines = [line.split("\t") for line in self._output.with_suffix(".operations").read_text().splitlines()]
-        return [(kind, re.sub(r"(^|/)\.([^/]+)\.\d+-[0-9a-f]{6}\.part", r"\1\2", path)) for _, kind, path in lines]
+        return [(kind, re.sub(r"(^|/)\.([^/]+)\.\d+-[0-9a-f]{14}\.part", r"\1\2", path)) for _, kind, path in lines]
 
     def run(self, *words: object, strike: Strike | None = None) -> Ended:
         """Run a command to its end."""

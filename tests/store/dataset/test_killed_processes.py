@@ -30,6 +30,26 @@ writer.DatasetWriter.create(pathlib.Path(sys.argv[1]), make_plan(job), job)
 """
 
 
+WRITING = """
+import sys, pathlib, time
+from wafer_viewer.store.io.atomic_files import atomic_write
+with atomic_write(pathlib.Path(sys.argv[1])) as temporary:
+    temporary.write_text("half")
+    print("begun", flush=True)
+    time.sleep(600)
+"""
+
+
+def killed_while_writing(path):
+    """The part that a process left of a file, which was killed just now."""
+    writer = subprocess.Popen([sys.executable, "-c", WRITING, str(path)], stdout=subprocess.PIPE)
+    with writer:
+        assert writer.stdout.readline() == b"begun\n"
+        writer.kill()
+    (part,) = path.parent.glob(f".{path.name}.*.part")
+    return part
+
+
 def aged(path, seconds=DEAD_AFTER_S + 60):
     then = time.time() - seconds
     os.utime(path, (then, then))
@@ -120,6 +140,17 @@ def test_dead_parts_are_removed_by_whoever_takes_the_dataset_next(tmp_path):
     assert not dead_file.exists()
     assert young.exists(), "it may be that of a machine that works on the dataset, too"
     assert alive.exists()
+
+
+def test_what_a_process_of_this_machine_left_is_removed_as_soon_as_it_is_gone(tmp_path):
+    left = killed_while_writing(tmp_path / "a.ply")
+    write_text(tmp_path / "a.ply", "whole")
+    assert not left.exists()
+    create(tmp_path / "a.wafer").close()
+    taken = Lock.take(tmp_path / "a.wafer")
+    left = killed_while_writing(tmp_path / "a.wafer" / "extra.json")
+    taken.release()
+    assert not left.exists(), "whoever works with a dataset has workers that may be killed meanwhile"
 
 
 def test_a_lock_on_a_full_disk_is_refused_with_a_sentence_and_not_held(tmp_path, monkeypatch):

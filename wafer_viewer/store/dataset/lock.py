@@ -41,8 +41,8 @@ class Holder(msgspec.Struct, frozen=True):
 class Lock:
     """Acquired lock of a dataset; call `release` to free it."""
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+    def __init__(self, folder: Path, descriptor: int) -> None:
+        self._folder, self._descriptor = folder, descriptor
 
     @classmethod
     def take(cls, folder: Path) -> Lock:
@@ -64,7 +64,7 @@ class Lock:
             os.close(descriptor)
             raise
         remove_dead_parts(folder, but=_NOT_OURS)
-        return cls(descriptor)
+        return cls(folder, descriptor)
 
     @property
     def held(self) -> bool:
@@ -72,8 +72,12 @@ class Lock:
         return self._descriptor >= 0
 
     def release(self) -> None:
-        """Release the lock; idempotent. A disk that does not even take the empty text leaves a name of no meaning."""
+        """Remove what killed workers left half written, and release the lock; idempotent.
+
+        A disk that does not even take the empty text leaves a name of no meaning.
+        """
         if self._descriptor >= 0:
+            remove_dead_parts(self._folder, but=_NOT_OURS)
             with suppress(OSError):
                 _write(self._descriptor, b"")
             os.close(self._descriptor)

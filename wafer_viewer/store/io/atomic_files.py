@@ -12,23 +12,26 @@ import os
 import re
 import secrets
 import shutil
+import socket
 import sys
 import time
+import zlib
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from functools import cache
 from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError, DiskFullError
 
-_PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part(\.old)?")
-"""Name of a file or folder that is being written, or was replaced, with the number of the process."""
+_PART = re.compile(r"\..+\.(\d+)-([0-9a-f]{8})?[0-9a-f]{6}\.part(\.old)?")
+"""Name of a file or folder that is being written, or was replaced, with the process and `_process_space`."""
 _NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
 """Errors by which file systems say that they have nothing to wait for in a folder."""
 _TIDIED = ".wafer"
 """Ending of datasets: whoever takes the lock of one removes all dead parts in it, where many are written."""
 DEAD_AFTER_S = 900.0
-"""Age of the last change from which a part of no running process is dead; a live one changes every few seconds."""
+"""Age of the last change from which a part of another machine is dead; a live one changes every few seconds."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _MENDS = {
     errno.ENOSPC: "the disk is full: free some space or choose another folder",
@@ -49,7 +52,7 @@ def atomic_write(path: Path) -> Generator[Path]:
     The path may be a file or a folder. What a killed process left of it is removed before. It is on the disk at the
     end; inside another part, when that is. Raises DatasetError when it cannot be written to.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{_process_space()}{secrets.token_hex(3)}.part")
     is_inside_part = any(_PART.fullmatch(parent.name) for parent in path.parents)
     if not any(parent.suffix == _TIDIED for parent in path.parents):
         _remove_dead_parts_of(path)
@@ -170,8 +173,8 @@ def remove(path: Path) -> None:
 def remove_dead_parts(folder: Path, *, but: frozenset[str] = frozenset()) -> tuple[Path, ...]:
     """Remove what killed processes left half written below a folder, and return it; but: names of folders to skip.
 
-    A part is dead if its process does not run on this machine and nothing in it changed for a quarter of an hour: it
-    may be that of a process on another machine.
+    A part is dead if its process ran on this machine and is gone. That of another machine, which may be at work on it,
+    is dead when nothing in it changed for a quarter of an hour.
     """
     found: list[Path] = []
     for place, folders, files in os.walk(folder):
@@ -185,12 +188,27 @@ def remove_dead_parts(folder: Path, *, but: frozenset[str] = frozenset()) -> tup
 
 def _is_dead(part: Path) -> bool:
     match = _PART.fullmatch(part.name)
-    if match is None or (sys.platform != "win32" and _runs(int(match[1]))):
+    if match is None:
         return False
+    if sys.platform != "win32":
+        if _runs(int(match[1])):
+            return False
+        if match[2] == _process_space():
+            return True
     inside = (Path(place) / name for place, folders, files in os.walk(part) for name in (*folders, *files))
     with suppress(OSError):
         return time.time() - max(path.lstat().st_mtime for path in (part, *inside)) > DEAD_AFTER_S
     return False
+
+
+@cache
+def _process_space() -> str:
+    """Return a tag that processes share whose numbers mean the same: of a machine since its start, or of a container."""
+    try:
+        space = Path("/proc/sys/kernel/random/boot_id").read_text() + os.readlink("/proc/self/ns/pid")
+    except OSError:
+        space = socket.gethostname()
+    return f"{zlib.crc32(space.encode()):08x}"
 
 
 def _runs(pid: int) -> bool:
