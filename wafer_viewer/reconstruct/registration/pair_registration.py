@@ -25,6 +25,7 @@ from wafer_viewer.model.surface.field_poses import (
     RejectionReason,
     Shifts,
     padded_candidates,
+    unknown_drift,
 )
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.block_gradients import variance_per_drift
@@ -42,8 +43,6 @@ field.
 LEAST_MEASURED = 0.1
 """Minimum measured fraction; with fewer heights nothing was in focus, and the images are noise and may differ."""
 _LOST = (RejectionReason.UNLIKE, RejectionReason.END_OF_SEARCH)
-DriftRow = tuple[float, ...]
-UNKNOWN_DRIFT: DriftRow = (float("nan"),) * N_DRIFT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +58,7 @@ class PairShift:
     by: ObservationSource
     doubt: RejectionReason
     candidates: NDArray[np.float32]
-    drift: DriftRow = UNKNOWN_DRIFT
+    drift: NDArray[np.float64]
 
 
 def register(
@@ -159,11 +158,7 @@ def _measured_share(first: HeightMap, second: HeightMap) -> float:
 
 
 def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShift:
-    (down, right), (u_down, u_right), drift = found.off_px, found.u_px, UNKNOWN_DRIFT
-    if np.isfinite(found.drift).all() and by is ObservationSource.PICTURE:
-        scatter = np.diag(found.covariance) - variance_per_drift(found.drift_freedom) * np.maximum(found.drift, 0.0)
-        variances = np.concatenate((scatter[::-1], found.drift[::-1])) * pixel_um**2
-        drift = (*variances.tolist(), found.drift_freedom)
+    (down, right), (u_down, u_right) = found.off_px, found.u_px
     return PairShift(
         x_um=right * pixel_um,
         y_um=-down * pixel_um,
@@ -174,8 +169,16 @@ def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShi
         by=by,
         doubt=found.doubt,
         candidates=_listed(found.candidates, pixel_um),
-        drift=drift,
+        drift=_drift(found, pixel_um) if by is ObservationSource.PICTURE else unknown_drift(1)[0],
     )
+
+
+def _drift(found: Match, pixel_um: float) -> NDArray[np.float64]:
+    """Return a row of `Shifts.drift`, NaN where the drift is unknown."""
+    if not np.isfinite(found.drift).all():
+        return unknown_drift(1)[0]
+    scatter = np.diag(found.covariance) - variance_per_drift(found.drift_freedom) * np.maximum(found.drift, 0.0)
+    return np.append(np.concatenate((scatter[::-1], found.drift[::-1])) * pixel_um**2, found.drift_freedom)
 
 
 def _listed(candidates: Sequence[Candidate], pixel_um: float) -> NDArray[np.float32]:
@@ -190,8 +193,8 @@ def _listed(candidates: Sequence[Candidate], pixel_um: float) -> NDArray[np.floa
 
 
 def _by_stage(doubt: RejectionReason) -> PairShift:
-    nothing = np.zeros((0, N_CANDIDATE), np.float32)
-    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, 0.0, ObservationSource.STAGE, doubt, nothing)
+    nothing, unknown = np.zeros((0, N_CANDIDATE), np.float32), unknown_drift(1)[0]
+    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, 0.0, ObservationSource.STAGE, doubt, nothing, unknown)
 
 
 def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
@@ -214,4 +217,4 @@ def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
         candidates=padded_candidates([f.candidates for f in found]),
         drift=np.array([f.drift for f in found], np.float64).reshape(-1, N_DRIFT),
     )
-    return with_own_drift(shifts)
+    return with_own_drift(shifts)  # the same bits as those that are restored after a pooling

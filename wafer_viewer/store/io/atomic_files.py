@@ -203,9 +203,9 @@ def _is_dead(part: Path) -> bool:
 
 @cache
 def _process_space() -> str:
-    """Return a tag that processes share whose numbers mean the same: of a machine since its start, or of a container."""
+    """Return a tag that processes share whose numbers mean the same: of a running machine, or of a container."""
     try:
-        space = Path("/proc/sys/kernel/random/boot_id").read_text() + os.readlink("/proc/self/ns/pid")
+        space = Path("/proc/sys/kernel/random/boot_id").read_text() + str(Path("/proc/self/ns/pid").readlink())
     except OSError:
         space = socket.gethostname()
     return f"{zlib.crc32(space.encode()):08x}"
