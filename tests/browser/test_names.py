@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import go_to, press
@@ -48,7 +48,25 @@ def test_the_ends_of_a_slider_can_be_read(serve: Serve):
     page = serve(fake.FakeSession(fake.planned()))
     ends = page.locator("[data-dock-region=right] .mantine-Slider-markLabel")
     expect(ends).to_have_text(["0", "50"])
-    slider = page.locator("[data-dock-region=right] .mantine-Slider-root").bounding_box()
+    ends_lie_within(page.locator("[data-dock-region=right] .mantine-Slider-root").first, ends)
+
+
+def test_the_ends_of_a_range_can_be_read(serve: Serve):
+    page = serve(fake.FakeSession(fake.measured()))
+    go_to(page, "Surface")
+    ends = page.locator(".multi-slider-mark-label")
+    expect(ends).to_have_count(2)
+    ends_lie_within(page.locator(".multi-slider").first, ends)
+    thumbs = page.locator(".multi-slider-thumb")
+    for k in (0, 1):
+        box, thumb = ends.nth(k).bounding_box(), thumbs.nth(k).bounding_box()
+        assert box is not None
+        assert thumb is not None
+        assert thumb["y"] + thumb["height"] <= box["y"] + 1
+
+
+def ends_lie_within(around: Locator, ends: Locator) -> None:
+    slider = around.bounding_box()
     assert slider is not None
     for k in (0, 1):
         box = ends.nth(k).bounding_box()
