@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,10 @@ from wafer_viewer.session.rendering.render_request import RenderRequest, Surface
 SOURCE = SurfaceKey(Path("nowhere.wafer"), "default", 0, 1)
 
 
-def work(request: RenderRequest) -> bytes:
-    """What the tests' painter does: say who it is, fail, or die."""
+def work(gate: Path, request: RenderRequest) -> bytes:
+    """What the tests' painter does: say who it is, fail, die, or wait until the gate is opened."""
+    while request.k == 4 and not gate.exists():
+        time.sleep(0.01)
     if request.k == 1:
         raise DatasetError("The frames are gone.")
     if request.k == 2:
@@ -29,10 +32,18 @@ def work(request: RenderRequest) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def painter() -> Iterator[Painter]:
-    made = Painter(work)
+def painter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Painter]:
+    made = Painter(partial(work, tmp_path_factory.getbasetemp() / "gate"))
     yield made
     made.close()
+
+
+@pytest.fixture
+def gate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The gate that a request of k = 4 waits at; shut before and after."""
+    path = tmp_path_factory.getbasetemp() / "gate"
+    yield path
+    path.unlink()
 
 
 def requested(number: int, k: int = 0) -> RenderRequest:
@@ -53,18 +64,24 @@ def test_browsers_that_ask_at_the_same_time_share_one_rendering(painter: Painter
     assert first.result(30) is second.result(30)
 
 
-def test_a_rendering_goes_on_for_those_who_still_wait(painter: Painter) -> None:
-    waits = painter.paint(requested(7, k=4))  # what follows is not begun before
-    gone, stays = (painter.paint(requested(8, k=4)) for _ in range(2))
+def test_a_rendering_goes_on_for_those_who_still_wait(painter: Painter, gate: Path) -> None:
+    held = painter.paint(requested(7, k=4))
+    gone, stays = (painter.paint(requested(8, k=3)) for _ in range(2))
     assert gone.cancel()
+    gate.touch()
     assert stays.result(30)
-    assert waits.result(30)
+    assert held.result(30)
 
 
-def test_a_rendering_that_no_one_waits_for_is_withdrawn_and_can_be_asked_for_again(painter: Painter) -> None:
+def test_a_rendering_that_no_one_waits_for_is_withdrawn_and_can_be_asked_for_again(
+    painter: Painter, gate: Path
+) -> None:
+    held = painter.paint(requested(11, k=4))
     gone = painter.paint(requested(9, k=5))
     assert gone.cancel()
+    gate.touch()
     assert painter.paint(requested(9, k=5)).result(30)
+    assert held.result(30)
 
 
 def test_an_error_is_raised_by_the_future_and_not_cached(painter: Painter) -> None:
