@@ -38,7 +38,7 @@ WATCHERS, QUICK = 10, 3
 STEPS = ("Gauge check", "Plan")
 """Steps that are there at any time."""
 ANSWER_S, SHARE, GROWTH_MB = 0.5, 0.95, 200.0
-PAUSE_S, LEARN_S, PATIENCE_S = 0.7, 3.0, 900.0
+PAUSE_S, LEARN_S, PATIENCE_S = 0.4, 3.0, 900.0
 LEAST_PRESSES, LOOK_S = 20, 0.25
 HEADER = (
     "looking on",
@@ -94,7 +94,7 @@ def scanned(n_watchers: int) -> Outcome:
                 time.sleep(PAUSE_S)
             while not _is_over(data) and time.monotonic() - begun < PATIENCE_S:
                 label = STEPS[len(answers_s) % len(STEPS)]
-                answers_s.append(holder.answer_s(label, *signs[label], most_s=20.0))
+                answers_s.append(holder.answer_s(label, signs[label], most_s=20.0))
                 time.sleep(PAUSE_S)
         end = viewer.memory().viewer / 1e6
         if len(answers_s) < LEAST_PRESSES:
@@ -131,18 +131,17 @@ class _Highest:
             self.mb = max(self.mb, self._viewer.memory().viewer / 1e6)
 
 
-def _signs(holder: PlainBrowser) -> dict[str, tuple[tuple[str, str], Any]]:
-    """Return a property that each step changes, and its value then."""
+def _signs(holder: PlainBrowser) -> dict[str, dict[tuple[str, str], Any]]:
+    """Return, for each step, what becomes visible or hidden with it; some of it may stay hidden during a scan."""
     rounds = [[holder.changes(label, LEARN_S) for label in STEPS] for _ in range(3)][1:]
     kept = [
-        {key: value for key, value in one.items() if key in other and other[key] == value}
+        {key: value for key, value in one.items() if key[1] == "visible" and other.get(key) == value}
         for one, other in zip(*rounds, strict=True)
     ]
     both = [key for key in kept[0].keys() & kept[1].keys() if kept[0][key] != kept[1][key]]
-    both.sort(key=lambda key: (key[1] == "content", key))  # what is written in a panel may change by itself
     if not both:
         raise SystemExit("Going from step to step changes nothing.")
-    return {label: (both[0], values[both[0]]) for label, values in zip(STEPS, kept, strict=True)}
+    return {label: {key: values[key] for key in both} for label, values in zip(STEPS, kept, strict=True)}
 
 
 def _until_ready(holder: PlainBrowser) -> None:

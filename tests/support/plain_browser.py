@@ -95,13 +95,17 @@ class PlainBrowser:
         with self._something:
             return dict(self._changed)
 
-    def answer_s(self, label: str, sign: tuple[str, str], value: Any, most_s: float) -> float:
-        """Press a button, and return the seconds until a property has a value; infinite if it never has."""
+    def answer_s(self, label: str, signs: dict[tuple[str, str], Any], most_s: float) -> float:
+        """Press a button, and return the seconds until one of some properties has its value; infinite if none has."""
         with self._something:
             self._changed, begun = {}, time.perf_counter()
             self.press(label)
-            came = self._something.wait_for(lambda: self._changed.get(sign, None) == value, most_s)
+            came = self._something.wait_for(lambda: bool(signs.items() & self._visible().items()), most_s)
         return time.perf_counter() - begun if came else float("inf")
+
+    def _visible(self) -> dict[tuple[str, str], Any]:
+        """Return what became visible or hidden since the last press."""
+        return {key: value for key, value in self._changed.items() if key[1] == "visible"}
 
     def _read(self) -> None:
         with suppress(ConnectionClosed, OSError, EOFError):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.gui.page.drawing_turns import DrawingTurns
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.state import browser_storage
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 SETTLE_S = 0.9
 """Delay in s of a second draw after a change, when widgets moved by the user are at rest."""
+_TURNS = DrawingTurns()
+"""Turns of the pages of this process whose browsers only look on."""
 
 
 class Part(Protocol):
@@ -78,6 +81,8 @@ class Page:
         }
         self._lock = threading.Lock()
         self._due = threading.Event()
+        self._own = threading.Event()
+        """Set while a change is to be drawn that came from this browser."""
         self._closed = False
         self._leave = session.subscribe(lambda _: self._due.set())
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
@@ -101,7 +106,7 @@ class Page:
             if self._closed:
                 return
             self.ask("This browser only watches", self.session.control.arrive(self.browser.key, self.browser.name))
-        self._due.set()
+        self.redraw()
         self._thread.start()
 
     def close(self) -> None:
@@ -111,7 +116,7 @@ class Page:
             if self.browser.key:
                 self.session.control.leave(self.browser.key)
         self._leave()
-        self._due.set()
+        self.redraw()
         for last in self._at_close:
             last()
 
@@ -127,7 +132,7 @@ class Page:
             before, self.view = self.view, browser_storage.changed(self.view, **choices)
         data = self.session.snapshot.dataset
         browser_storage.keep(self.client, before, self.view, str(data.path) if data is not None else "")
-        self._due.set()
+        self.redraw()
 
     def remember(self, browser: BrowserIdentity) -> None:
         """Store another name or layout of this browser, so that it survives a reload."""
@@ -135,7 +140,8 @@ class Page:
         browser_storage.keep_self(self.client, browser)
 
     def redraw(self) -> None:
-        """Redraw after a change outside of session and view."""
+        """Redraw at once, after a change outside of the session."""
+        self._own.set()
         self._due.set()
 
     def show_scale(self, on_show: DisplayedSurface | None) -> None:
@@ -209,7 +215,7 @@ class Page:
         self.notices = notices
         if self.browser.key:
             self.remember(replace(self.browser, notes=tuple(n for n in notices if n.needs_person)))
-        self._due.set()
+        self.redraw()
 
     def _notify(self, fault: Fault) -> None:
         self._notifications[fault.id] = self.client.add_notification(
@@ -234,10 +240,23 @@ class Page:
     def _run(self) -> None:
         while not self._closed:
             self._due.wait()
+            self._draw_in_turn()
+            if not self._due.wait(SETTLE_S):
+                self._draw_in_turn()
+
+    def _draw_in_turn(self) -> None:
+        """Draw what is due; a change that comes meanwhile is due again."""
+
+        def draw() -> None:
+            self._own.clear()
             self._due.clear()
             self._draw()
-            if not self._due.wait(SETTLE_S):
-                self._draw()
+
+        _TURNS.draw(draw, self._hurries)
+
+    def _hurries(self) -> bool:
+        """Return whether this browser holds the controls, has changed something, or has gone."""
+        return self._closed or self._own.is_set() or self.session.snapshot.control.holds(self.browser.key)
 
     @property
     def alive(self) -> bool:
