@@ -57,6 +57,7 @@ def with_micro_sign(text: str) -> str:
     return re.sub(r"\bu([ms])\b", r"µ\1", text)
 
 
+@functools.cache
 def icon(name: Any, size_px: int = 16) -> Markup:
     """Return an icon of viser's set, in the colour of the surrounding text."""
     return Markup('<span class="wv-i" style="width:{}px;height:{}px">{}</span>').format(
