@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -204,6 +205,19 @@ def test_a_folder_whose_name_does_not_reach_the_disk_is_not_there(tmp_path, monk
             write()
     assert [path.read_text() for path in tmp_path.rglob("*.json")] == ["old"] * is_there
     assert len(list(tmp_path.iterdir())) == is_there
+
+
+def test_a_folder_whose_name_does_not_reach_a_disk_that_refuses_all_renames_is_not_there_either(tmp_path, monkeypatch):
+    folder, renamed = tmp_path / "fields.ome.zarr", Path.rename
+    with monkeypatch.context() as full:
+        full.setattr(atomic_files, "to_disk", lambda path: no_space() if path == tmp_path else None)
+        full.setattr(Path, "rename", lambda path, to: no_space() if path == folder else renamed(path, to))
+        with (
+            pytest.raises(DiskFullError, match=r"fields\.ome\.zarr cannot be written: the disk is full"),
+            atomic_write(folder) as part,
+        ):
+            part.mkdir()
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_left_of_a_killed_export_is_removed_by_the_next_one(tmp_path):

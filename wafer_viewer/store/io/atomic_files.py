@@ -254,7 +254,8 @@ def _existing(folder: Path) -> Path:
 def _move(source: Path, target: Path, *, wait: bool) -> None:
     """Rename, also over a non-empty folder, which is moved away first and removed afterwards.
 
-    A folder whose new name does not reach the disk is moved back: whoever was told so can write it again.
+    A folder whose new name does not reach the disk is moved back: whoever was told so can write it again. Where no name
+    can be changed any more, it is removed unless it replaced another.
     """
     aside = target.with_name(f"{source.name}.old") if target.is_dir() else None
     if aside is not None:
@@ -265,9 +266,18 @@ def _move(source: Path, target: Path, *, wait: bool) -> None:
             to_disk(target.parent)
     except OSError:
         if target.is_dir():
-            target.rename(source)
-            if aside is not None:
-                aside.rename(target)
+            _move_back(target, source, aside)
         raise
     if aside is not None:
         remove(aside)
+
+
+def _move_back(target: Path, source: Path, aside: Path | None) -> None:
+    """Undo the renaming of a folder as far as the disk permits."""
+    try:
+        target.rename(source)
+    except OSError:
+        remove(aside or target)
+        return
+    if aside is not None:
+        aside.rename(target)
