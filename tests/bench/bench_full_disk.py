@@ -103,6 +103,7 @@ class Bench:
         (folder / "nothing").mkdir()
         self._whole: dict[str, Path] = {"": folder / "nothing"}
         self.operations: dict[str, list[tuple[str, str]]] = {}
+        self.statuses: dict[str, int] = {}
 
     def whole(self, command: str) -> Path:
         """Return the data folder after a command that met no full disk."""
@@ -111,7 +112,7 @@ class Bench:
             ended = self.run(command, ("none", 0))
             if ended.status not in (0, 1):
                 raise SystemExit(f"{command} fails without a full disk: {ended.err}")
-            self.operations[command] = self.commands.operations
+            self.operations[command], self.statuses[command] = self.commands.operations, ended.status
             self._whole[command] = Path(shutil.copytree(self.disk, self.folder / f"after-{command}"))
         return self._whole[command]
 
@@ -137,7 +138,8 @@ class Bench:
         row.cases += was_full
         told = f"{command}, {how} at {what}"
         there, whole = content(self.disk), content(self.whole(command))
-        if not _is_sentence(ended, must_fail=not _same(there, whole)):
+        is_done = ended.status == self.statuses[command] and _same(there, whole)
+        if not (_is_sentence(ended) or (is_done and "Traceback" not in ended.err)):
             row.silent += 1
             row.remarks.append(f"{told}: status {ended.status}, {ended.err.strip()[-700:]!r}")
         partial = (n for n, mark in there.items() if mark not in (before.get(n), whole.get(n)))
@@ -167,14 +169,11 @@ def _same(there: dict[str, str], whole: dict[str, str]) -> bool:
     return sorted(there.values()) == sorted(whole.values())
 
 
-def _is_sentence(ended: Ended, *, must_fail: bool) -> bool:
-    """Tell whether a command said that the disk is full, as its end or as a warning if the work is done."""
+def _is_sentence(ended: Ended) -> bool:
+    """Tell whether a command ended with one sentence that the disk is full."""
     lines = ended.err.strip().splitlines()
-    if any("Traceback" in line for line in lines):
-        return False
-    if ended.status == 0:
-        return not must_fail
-    return len(lines) == 1 and lines[0].startswith("wafer-viewer: ") and "the disk is full" in lines[0]
+    is_one = len(lines) == 1 and lines[0].startswith("wafer-viewer: ") and "the disk is full" in lines[0]
+    return ended.status != 0 and is_one
 
 
 def kind_of(command: str, path: str) -> str:
