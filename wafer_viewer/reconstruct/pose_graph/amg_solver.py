@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Numbers
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.reconstruct.pose_graph.block_products import Sparse, add_border, multiply, product
 
 DIRECT_FIELDS = 2000
 """Systems of up to this many fields are factorised directly."""
@@ -49,7 +49,6 @@ class MultigridParameters:
 
 
 MULTIGRID = MultigridParameters()
-Sparse = Any
 Apply = Callable[[Numbers], Numbers]
 
 
@@ -79,20 +78,12 @@ class System:
 
     def __matmul__(self, x: Numbers) -> Numbers:
         n = len(self.border)
-        product = np.vstack((self.blocks @ x[:n], self.corner @ x[n:]))
-        _add_border(self.border, np.ascontiguousarray(x), product)
-        return product
-
-
-@fast_kernel
-def _add_border(border: Numbers, x: Numbers, product: Numbers) -> None:
-    """Add the products of the border: BLAS threads that wait for each other take half of the time of a solution."""
-    n, m = border.shape
-    for i in range(n):
-        for j in range(m):
-            for k in range(x.shape[1]):
-                product[i, k] += border[i, j] * x[n + j, k]
-                product[n + j, k] += border[i, j] * x[i, k]
+        x = np.ascontiguousarray(x)
+        out = np.empty_like(x)
+        multiply(self.blocks, x, out)
+        out[n:] = self.corner @ x[n:]
+        add_border(self.border, x[:n], x[n:], out)
+        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,18 +99,18 @@ class _Level:
         """Apply one smoothing step, which reduces errors that differ between neighbours."""
         n = len(self.system.border)
         x = x.copy()
-        x[:n] += self.jacobi @ (right - self.system @ x)[:n]
+        x[:n] += product(self.jacobi, (right - self.system @ x)[:n])
         return x
 
     def lower(self, x: Numbers) -> Numbers:
         """Restrict a residual to the coarser level."""
         n = len(self.system.border)
-        return np.vstack((self.down @ x[:n], x[n:]))
+        return np.vstack((product(self.down, x[:n]), x[n:]))
 
     def prolongate(self, x: Numbers) -> Numbers:
         """Prolongate a correction from the coarser level."""
         n = self.up.shape[1]
-        return np.vstack((self.up @ x[:n], x[n:]))
+        return np.vstack((product(self.up, x[:n]), x[n:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +150,7 @@ class Solver:
             return self.coarsest(right)
         level = self.levels[at]
         n = len(level.system.border)
-        x = np.vstack((level.jacobi @ right[:n], np.zeros_like(right[n:])))
+        x = np.vstack((product(level.jacobi, right[:n]), np.zeros_like(right[n:])))
         x += level.prolongate(self._cycle(level.lower(right - level.system @ x), at + 1))
         return level.smooth(x, right)
 

@@ -270,7 +270,7 @@ def _variance_inflation(constants: _Constants, chi2: Numbers) -> float:
 
 _SAMPLES = 48
 """Number of sets of errors that are drawn for the uncertainties of many fields."""
-_AT_ONCE = 4
+_AT_ONCE = 8
 """Number of drawn sets of errors that are solved together."""
 _COLUMNS = 256
 """Number of columns of the inverse that are solved together."""
