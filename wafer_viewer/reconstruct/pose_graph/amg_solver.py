@@ -85,6 +85,11 @@ class System:
         add_border(self.border, x[:n], x[n:], out)
         return out
 
+    def residual(self, right: Numbers, x: Numbers) -> Numbers:
+        """Return ``right - self @ x``."""
+        out = self @ x
+        return np.subtract(right, out, out=out)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
@@ -95,12 +100,10 @@ class _Level:
     up: Sparse
     down: Sparse
 
-    def smooth(self, x: Numbers, right: Numbers) -> Numbers:
-        """Apply one smoothing step, which reduces errors that differ between neighbours."""
+    def smooth(self, x: Numbers, right: Numbers) -> None:
+        """Apply one smoothing step to `x`, which reduces errors that differ between neighbours."""
         n = len(self.system.border)
-        x = x.copy()
-        x[:n] += product(self.jacobi, (right - self.system @ x)[:n])
-        return x
+        x[:n] += product(self.jacobi, self.system.residual(right, x)[:n])
 
     def lower(self, x: Numbers) -> Numbers:
         """Restrict a residual to the coarser level."""
@@ -151,8 +154,9 @@ class Solver:
         level = self.levels[at]
         n = len(level.system.border)
         x = np.vstack((product(level.jacobi, right[:n]), np.zeros_like(right[n:])))
-        x += level.prolongate(self._cycle(level.lower(right - level.system @ x), at + 1))
-        return level.smooth(x, right)
+        x += level.prolongate(self._cycle(level.lower(level.system.residual(right, x)), at + 1))
+        level.smooth(x, right)
+        return x
 
 
 def prepare(system: System, x_um: Numbers, y_um: Numbers) -> Solver:
@@ -257,7 +261,7 @@ def _conjugate_gradients(
 ) -> tuple[Numbers, bool]:
     """Solve all right-hand sides at once, each with its own step sizes; also return whether they converged."""
     x = start.copy()
-    residual = right - system @ x
+    residual = system.residual(right, x)
     ahead = precondition(residual)
     direction, energy = ahead, _dots(residual, ahead)
     goal = np.maximum(goals[0] ** 2 * _dots(right, precondition(right)), goals[1])
@@ -267,10 +271,12 @@ def _conjugate_gradients(
         pushed = system @ direction
         step = _ratio(energy, _dots(direction, pushed))
         x += step * direction
-        residual -= step * pushed
+        pushed *= step
+        residual -= pushed
         ahead = precondition(residual)
         energy, before = _dots(residual, ahead), energy
-        direction = ahead + _ratio(energy, before) * direction
+        direction *= _ratio(energy, before)
+        direction += ahead
     return x, False
 
 
