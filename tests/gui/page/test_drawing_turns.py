@@ -38,6 +38,23 @@ def test_only_one_page_of_those_who_look_on_draws_at_a_time() -> None:
     assert most == 1
 
 
+def test_no_page_is_drawn_again_while_another_waits() -> None:
+    turns, order, n_pages = DrawingTurns(), list[int](), 5
+
+    def draw_again_and_again(page: int) -> None:
+        for _ in range(20):
+            turns.draw(lambda: (order.append(page), time.sleep(0.002)), lambda: False)
+
+    pages = [threading.Thread(target=draw_again_and_again, args=(page,)) for page in range(n_pages)]
+    for page in pages:
+        page.start()
+    for page in pages:
+        page.join(30)
+    all_wait = order[2 * n_pages : -n_pages]
+    rounds = [all_wait[n : n + n_pages] for n in range(len(all_wait) - n_pages)]
+    assert all(len(set(drawn)) == n_pages for drawn in rounds)
+
+
 def test_a_page_that_has_to_hurry_draws_during_the_turn_of_another() -> None:
     turns, begun, end = DrawingTurns(), threading.Event(), threading.Event()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 
 _LOOK_S = 0.02
@@ -15,23 +16,40 @@ _LOOK_S = 0.02
 
 
 class DrawingTurns:
-    """Lets one page draw at a time, and those that have to hurry at any time.
+    """Lets one page draw at a time, in the order in which they came, and those that have to hurry at any time.
 
     A turn lasts twice as long as its drawing: the rest is for the pages that hurry and for the session.
     """
 
     def __init__(self) -> None:
-        self._turn = threading.Lock()
+        self._moved = threading.Condition()
+        self._queue = deque[object]()
+        """Places of the pages that wait; the first one draws."""
 
     def draw(self, draw: Callable[[], None], hurries: Callable[[], bool]) -> None:
         """Draw in turn, or at once if the page hurries, which may begin while it waits."""
-        while not hurries():
-            if self._turn.acquire(timeout=_LOOK_S):
-                try:
-                    begun_s = time.perf_counter()
-                    draw()
-                    time.sleep(time.perf_counter() - begun_s)
-                finally:
-                    self._turn.release()
-                return
-        draw()
+        if hurries() or not self._comes_first(place := object(), hurries):
+            draw()
+            return
+        try:
+            begun_s = time.perf_counter()
+            draw()
+            time.sleep(time.perf_counter() - begun_s)
+        finally:
+            self._leave(place)
+
+    def _comes_first(self, place: object, hurries: Callable[[], bool]) -> bool:
+        """Wait in the queue; return False, having left it, if the page hurries before its turn comes."""
+        with self._moved:
+            self._queue.append(place)
+            while self._queue[0] is not place:
+                self._moved.wait(_LOOK_S)
+                if hurries():
+                    self._queue.remove(place)
+                    return False
+        return True
+
+    def _leave(self, place: object) -> None:
+        with self._moved:
+            self._queue.remove(place)
+            self._moved.notify_all()
