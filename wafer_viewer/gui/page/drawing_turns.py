@@ -13,12 +13,14 @@ from collections.abc import Callable
 
 _LOOK_S = 0.02
 """Interval in s at which a page that waits for its turn looks whether it has to hurry."""
+_REST = 2.0
+"""Time that a turn leaves to others, in times of its drawing."""
 
 
 class DrawingTurns:
     """Lets one page draw at a time, in the order in which they came, and those that have to hurry at any time.
 
-    A turn lasts twice as long as its drawing: the rest is for the pages that hurry and for the session.
+    A turn lasts three times as long as its drawing: the rest is for the pages that hurry and for the session.
     """
 
     def __init__(self) -> None:
@@ -34,7 +36,7 @@ class DrawingTurns:
         try:
             begun_s = time.perf_counter()
             draw()
-            time.sleep(time.perf_counter() - begun_s)
+            time.sleep(_REST * (time.perf_counter() - begun_s))
         finally:
             self._leave(place)
 
