@@ -113,6 +113,14 @@
       element.parentElement.contains(hit) && element.matches('input, [role=slider]');
     return same ? '' : called(hit);
   };
+  const inSightOf = element => {  // its box without what its panel has scrolled away
+    let { left, top, right, bottom } = boxOf(element);
+    for (let view = element.closest(SCROLLER); view; view = view.parentElement.closest(SCROLLER)) {
+      const r = boxOf(view);
+      [left, top, right, bottom] = [Math.max(left, r.left), Math.max(top, r.top), Math.min(right, r.right), Math.min(bottom, r.bottom)];
+    }
+    return { left, top, right, bottom };
+  };
   const hits = found => {
     const inSight = [];
     for (const control of all(CONTROLS)) {
@@ -130,7 +138,7 @@
       const r = boxOf(control);
       if (r.left < -1 || r.right > innerWidth + 1) found.push(`outside: ${called(control)} leaves the window`);
     }
-    const boxes = inSight.map(boxOf);
+    const boxes = inSight.map(inSightOf);
     for (let i = 0; i < inSight.length; i++)
       for (let k = i + 1; k < inSight.length; k++) {
         const [p, q] = [boxes[i], boxes[k]];

@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, Page
 from tests.browser.audit import Group, State, Themes, both_themes, look_over, opened
 from tests.browser.audit_states import GROUPS
 from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions import operator_session as operator
 
 pytestmark = [
     pytest.mark.browser,
@@ -54,6 +55,21 @@ def test_nothing_is_covered_cut_nameless_or_pale(browser: Browser, name: str):
     assert not found, "\n".join(
         f"{what}   [{', '.join(dict.fromkeys(where))}]" for what, where in sorted(found.items())
     )
+
+
+def test_a_row_that_is_scrolled_half_out_of_its_panel_covers_nothing(browser: Browser):
+    with opened(browser, Group(lambda: fake.FakeSession(operator.tried()), "plan", ())) as visit:
+        cut = visit.page.get_by_label("Size, mm").evaluate(
+            """input => {
+              const view = input.closest('.mantine-ScrollArea-viewport');
+              const middle = () => { const r = input.getBoundingClientRect(); return r.top + r.height / 2; };
+              const top = view.getBoundingClientRect().top;
+              view.scrollTop += middle() - top - 2;
+              return middle() - top;
+            }"""
+        )
+        assert 0 < cut < 4
+        assert visit.page.evaluate("wvAudit.look()") == [[], []]
 
 
 @pytest.fixture(scope="module")
