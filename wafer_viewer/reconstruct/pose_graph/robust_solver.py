@@ -4,7 +4,7 @@ Weights decrease with the square of the residual (Geman and McClure), first at t
 at half of it and so on (graduated non-convexity: Black and Rangarajan 1996), so that no bad overlap determines the
 solution.
 
-Standard uncertainties come from the inverse of the normal equations. Up to `DIRECT_FIELDS` fields its diagonal is
+Standard uncertainties come from the inverse of the normal equations. Up to `EXACT_FIELDS` fields its diagonal is
 exact. Beyond, `_SAMPLES` sets of errors are drawn from the uncertainties of overlaps and priors, each is solved like a
 measurement, and the spread of the solutions is the uncertainty (Papandreou and Yuille 2010: Gaussian sampling by local
 perturbations): unbiased, with a relative error of 1 / sqrt(2 * samples) = 10 %.
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers
+from wafer_viewer.numerics.inverse_diagonal import inverse_diagonal
 from wafer_viewer.reconstruct.pose_graph.amg_solver import DIRECT_FIELDS, Solver, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
 from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, gradient, normal_equations
@@ -268,12 +269,12 @@ def _variance_inflation(constants: _Constants, chi2: Numbers) -> float:
     return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, ROBUST.most_excess))
 
 
+EXACT_FIELDS = 10_000
+"""Largest number of fields whose uncertainties are computed exactly: more take longer than to draw samples."""
 _SAMPLES = 48
 """Number of sets of errors that are drawn for the uncertainties of many fields."""
 _AT_ONCE = 8
 """Number of drawn sets of errors that are solved together."""
-_COLUMNS = 256
-"""Number of columns of the inverse that are solved together."""
 _TOLERANCE = 1e-2
 """Relative error of the solutions from which uncertainties are computed."""
 
@@ -284,36 +285,38 @@ def standard_uncertainties(network: PoseGraph, solution: RobustSolution, wanted:
     found = np.zeros((len(network.x_um), len(wanted)))
     if solver is None or not np.any(free):
         return found
-    n = network.size * int(free.sum())
-    variance = _sampled(network, solution, solver, n) if solver.levels else _exact(solver, n, network.size, wanted)
+    is_many = np.count_nonzero(free) > EXACT_FIELDS
+    variance = _sampled(network, solution, solver) if is_many else _exact(solver)
     found[free] = np.sqrt(variance.reshape(-1, network.size)[:, wanted])
     return found
 
 
 def shared_uncertainties(solution: RobustSolution) -> Numbers:
     """Return the uncertainties [m] of the shared unknowns; infinite without a solver."""
-    m = len(solution.shared)
-    if solution.solver is None or m == 0:
-        return np.full(m, np.inf)
-    n = len(solution.solver.system.border)
-    unit = np.vstack((np.zeros((n, m)), np.eye(m)))
-    return np.sqrt(np.diag(solution.solver.solve(unit, _TOLERANCE)[n:]))
+    if solution.solver is None:
+        return np.full(len(solution.shared), np.inf)
+    return np.sqrt(np.diag(_inverse_of_shared(solution.solver)[1]))
 
 
-def _exact(solver: Solver, n: int, size: int, wanted: tuple[int, ...]) -> Numbers:
-    """Return the diagonal [n] of the inverse for the fields; 0 for unknowns that are not wanted."""
-    variance = np.zeros(n)
-    rows = np.concatenate([np.arange(k, n, size) for k in wanted])
-    for some in np.split(rows, range(_COLUMNS, len(rows), _COLUMNS)):
-        unit = np.zeros((n + len(solver.system.corner), len(some)))
-        unit[some, np.arange(len(some))] = 1.0
-        variance[some] = solver.solve(unit, _TOLERANCE)[some, np.arange(len(some))]
-    return variance
+def _inverse_of_shared(solver: Solver) -> tuple[Numbers, Numbers]:
+    """Return the columns of the inverse for the shared unknowns: rows of the fields [n, m], and their own [m, m]."""
+    n, m = solver.system.border.shape
+    if m == 0:
+        return np.zeros((n, 0)), np.zeros((0, 0))
+    inverse = solver.solve(np.eye(n + m, m, -n), _TOLERANCE)
+    return inverse[:n], inverse[n:]
 
 
-def _sampled(network: PoseGraph, solution: RobustSolution, solver: Solver, n: int) -> Numbers:
+def _exact(solver: Solver) -> Numbers:
+    """Return the diagonal [n] of the inverse for the fields: of their blocks alone, and what shared unknowns add."""
+    across, shared = _inverse_of_shared(solver)
+    by_shared = np.einsum("nk,nk->n", across @ np.linalg.inv(shared), across)
+    return inverse_diagonal(solver.system.blocks) + by_shared
+
+
+def _sampled(network: PoseGraph, solution: RobustSolution, solver: Solver) -> Numbers:
     """Return the mean square [n] of the solutions of drawn errors."""
-    random = np.random.default_rng(5)
+    n, random = len(solver.system.border), np.random.default_rng(5)
     values, vectors = np.linalg.eigh((solution.weight / solution.excess**2)[:, None, None] * network.information)
     vectors *= np.sqrt(np.maximum(values, 0))[:, None, :]
     variance = np.zeros(n)
