@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Numbers
+from wafer_viewer.numerics.banded_matrix import factorise, solve
 from wafer_viewer.numerics.jit import lean_kernel
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Sparse, System, prepare
 from wafer_viewer.reconstruct.pose_graph.candidate_graph import Ints
@@ -33,8 +34,6 @@ def joint_step(
 
     off: [e, 2], difference of the places of both ends less the measured one; prior: gradient of the stage's, [n, 2].
     """
-    from scipy.linalg import solveh_banded
-
     a, b = ends
     xx, xy, yy = precision.T
     push = np.column_stack((xx * off[:, 0] + xy * off[:, 1], xy * off[:, 0] + yy * off[:, 1]))
@@ -51,9 +50,9 @@ def joint_step(
         matrix = _sparse(ends, precision, scatter, free)
         system = System(matrix, np.zeros((matrix.shape[0], 0)), np.zeros((0, 0)))
         return -prepare(system, *stage[free].T).solve(gradient[free].reshape(-1, 1), RELAXED_TOLERANCE).reshape(-1, 2)
-    band = np.zeros((width, 2 * len(order)))
+    band = np.zeros((2 * len(order), width))
     _fill_band(place[a], place[b], precision, 1 / scatter**2, band)
-    solved = solveh_banded(band, gradient[order].ravel(), overwrite_ab=True, lower=True, check_finite=False)
+    solved = solve(factorise(band), gradient[order].ravel())
     return -solved.reshape(-1, 2)[np.argsort(order)]
 
 
@@ -75,9 +74,9 @@ def _sparse(ends: tuple[Ints, Ints], precision: Numbers, scatter: Numbers, free:
 
 @lean_kernel
 def _fill_band(first: Ints, second: Ints, precision: Numbers, prior: Numbers, band: Numbers) -> None:
-    """Fill the lower band of the same matrix, [row - col, col]; fields below 0 do not move."""
-    for i in range(band.shape[1]):
-        band[0, i] = prior[i % 2]
+    """Fill the lower band of the same matrix, [col, row - col]; fields below 0 do not move."""
+    for i in range(band.shape[0]):
+        band[i, 0] = prior[i % 2]
     for e in range(first.size):
         a, b = max(first[e], second[e]), min(first[e], second[e])
         for i in range(2):
@@ -85,6 +84,6 @@ def _fill_band(first: Ints, second: Ints, precision: Numbers, prior: Numbers, ba
                 value = precision[e, i + j]
                 for field in (a, b):
                     if field >= 0 and j <= i:
-                        band[i - j, 2 * field + j] += value
+                        band[2 * field + j, i - j] += value
                 if b >= 0:
-                    band[2 * (a - b) + i - j, 2 * b + j] -= value
+                    band[2 * b + j, 2 * (a - b) + i - j] -= value

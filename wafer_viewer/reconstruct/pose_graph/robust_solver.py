@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import Numbers
-from wafer_viewer.numerics.inverse_diagonal import inverse_diagonal
+from wafer_viewer.numerics.banded_matrix import inverse_diagonal
 from wafer_viewer.reconstruct.pose_graph.amg_solver import DIRECT_FIELDS, Solver, prepare
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
 from wafer_viewer.reconstruct.pose_graph.pose_graph import PoseGraph, gradient, normal_equations

@@ -1,4 +1,4 @@
-"""Diagonal of the inverse: that of the dense inverse, of grids, chains, separate parts and full matrices."""
+"""Matrices with a band against dense ones: grids, chains, separate parts and full matrices."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_array, csr_array, eye_array
 
-from wafer_viewer.numerics.inverse_diagonal import inverse_diagonal
+from wafer_viewer.numerics.banded_matrix import factorise, inverse_diagonal, solve
 
 
 def linked(n: int, links: np.ndarray, size: int, seed: int) -> csr_array:
@@ -38,13 +38,30 @@ LINKS = {
 
 @pytest.mark.parametrize("size", [2, 3])
 @pytest.mark.parametrize("name", LINKS)
-def test_it_is_that_of_the_dense_inverse(name: str, size: int) -> None:
+def test_the_diagonal_of_the_inverse_is_that_of_the_dense_one(name: str, size: int) -> None:
     n, links = LINKS[name]
     places = np.random.default_rng(n).permutation(n)  # the order of fields tells nothing
     matrix = linked(n, places[links], size, n)
     expected = np.diag(np.linalg.inv(matrix.toarray()))
     np.testing.assert_allclose(inverse_diagonal(matrix), expected, rtol=1e-9)
     np.testing.assert_allclose(inverse_diagonal(matrix.tobsr((size, size))), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [2, 3])
+@pytest.mark.parametrize("name", LINKS)
+def test_factor_and_solution_are_those_of_the_dense_matrix(name: str, size: int) -> None:
+    n, links = LINKS[name]
+    matrix, right = linked(n, links, size, n).toarray(), np.random.default_rng(1).normal(size=n * size)
+    row, col = np.nonzero(np.tril(matrix))
+    band = np.zeros((n * size, int((row - col).max()) + 1))
+    band[col, row - col] = matrix[row, col]
+    factor = factorise(band)
+    dense = np.linalg.cholesky(matrix)
+    expected = np.zeros_like(band)
+    expected[col, row - col] = dense[row, col]
+    filled = expected != 0
+    np.testing.assert_allclose(factor[filled], expected[filled], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(solve(factor, right), np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-12)
 
 
 def test_nothing_has_no_diagonal() -> None:
