@@ -22,7 +22,10 @@ def linked(n: int, links: np.ndarray, size: int, seed: int) -> csr_array:
 
 def grid(rows: int, cols: int) -> np.ndarray:
     at = np.arange(rows * cols).reshape(rows, cols)
-    pairs = [np.column_stack((at[:, :-1].ravel(), at[:, 1:].ravel())), np.column_stack((at[:-1].ravel(), at[1:].ravel()))]
+    pairs = [
+        np.column_stack((at[:, :-1].ravel(), at[:, 1:].ravel())),
+        np.column_stack((at[:-1].ravel(), at[1:].ravel())),
+    ]
     return np.vstack(pairs)
 
 

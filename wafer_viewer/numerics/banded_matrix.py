@@ -1,6 +1,6 @@
 """Symmetric positive definite matrices with a band: their Cholesky factor, solutions, the diagonal of their inverse.
 
-A band is an array [n, width]: entry [j, k] is that of row j + k and column j of the matrix. Of the inverse, only entries
+A band is an array [n, width]: entry [j, k] is that of row j + k and column j of the matrix. Of the inverse, only those
 inside the band are needed to work from its last row to its first: K. Takahashi, J. Fagan, M.-S. Chin, Proc. 8th PICA
 Conf. (1973) 63. This takes as many steps as the factorisation, n width^2, where n solutions take n^2 width. Kernels of
 our own, since the threads of LAPACK wait for each other on a busy machine: ten to forty times the processor time.

@@ -347,20 +347,24 @@ def _invert(matrix: Float64s, inverse: Float64s) -> bool:
 
 @lean_kernel
 def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -> None:
+    """Write the variance of the shifts of blocks beyond that of noise, which shifts between neighbours show.
+
+    A shift has a variance of noise / stiffness, and one degree of freedom went into the lag.
+    """
     for j in range(out.size):
-        total = of_all = between = of_pairs = 0.0
+        n = n_pairs = total = of_all = between = 0.0
         for b in range(index.shape[0]):
             if stiff[b, j] > 0:
+                n += 1
                 total += pull[b, j] ** 2 / stiff[b, j]
                 of_all += stiff[b, j]
                 for c in range(b):
                     apart = abs(index[b, 0] - index[c, 0]) + abs(index[b, 1] - index[c, 1])
                     if apart == 1 and stiff[c, j] > 0:
-                        weight = stiff[b, j] * stiff[c, j] / (stiff[b, j] + stiff[c, j])
                         off = pull[b, j] / stiff[b, j] - pull[c, j] / stiff[c, j]
-                        between += weight * off * off / 2
-                        of_pairs += weight
-        out[j] = total / of_all - between / of_pairs if of_pairs > 0 else math.nan
+                        between += off * off * stiff[b, j] * stiff[c, j] / (stiff[b, j] + stiff[c, j])
+                        n_pairs += 1
+        out[j] = (total - between / n_pairs * (n - 1)) / of_all if n_pairs > 0 else math.nan
 
 
 @lean_kernel
