@@ -164,6 +164,21 @@ def test_a_pattern_may_lie_where_too_little_overlap_is_left_to_be_compared(sampl
     assert np.hypot(*(at_px - off).T).min() < 0.7
 
 
+@pytest.mark.parametrize("pitch_px", [30.0, 33.0])
+def test_it_may_lie_there_where_the_pattern_fits_along_one_line_elsewhere(sample, pitch_px):
+    """Of the periods across the border only one leaves enough to be compared: it spans no lattice with the true one."""
+    rows, cols = np.indices((460, 520)) * 2 * np.pi / pitch_px
+    cell = np.sign(np.sin(rows) + 0.4) + np.sign(np.sin(cols) - 0.3)
+    dies = Sample(110 + 25 * ndimage.gaussian_filter(cell, 1.2), sample.z_um)
+    found = register_pair(*pair(dies, (0, 216), off := (0.3, 9.8), noise_counts=2.0))
+    at_px = np.column_stack([-found.candidates[:, 1], found.candidates[:, 0]]) / PIXEL_UM
+    far_px = np.hypot(*(at_px - off).T)
+    assert far_px.min() < 2.5
+    precision = found.candidates[far_px.argmin(), 2] * PIXEL_UM**2
+    assert far_px.min() < 3 / np.sqrt(precision)
+    assert found.candidates[far_px.argmin(), 5] < 3
+
+
 def test_further_than_the_reach_is_not_believed(sample):
     found = register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=12)
     assert found.doubt in (RejectionReason.END_OF_SEARCH, RejectionReason.UNLIKE)

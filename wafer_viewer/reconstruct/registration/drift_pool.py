@@ -27,8 +27,8 @@ def with_pooled_drift(shifts: Shifts) -> Shifts:
     """Return shifts with uncertainties in which the drift of an overlap is shrunk towards that of all of them.
 
     That of the scan comes from the median of those not rejected, since a wrong overlap may show any drift; that of few
-    is widened, as it may be too small by chance. It replaces that of an earlier pooling. Where the drift is unknown, as
-    along lines, the uncertainty stays as it is.
+    is widened, as it may be too small by chance. An overlap that shows less than none, by chance, counts so. It
+    replaces that of an earlier pooling. Where the drift is unknown, as along lines, the uncertainty stays as it is.
     """
     sound = np.isin(shifts.doubt, (RejectionReason.NONE, RejectionReason.DISAGREES))
     told = shifts.drift[sound & np.isfinite(shifts.drift).all(axis=1)]
@@ -36,8 +36,9 @@ def with_pooled_drift(shifts: Shifts) -> Shifts:
         return shifts
     usual_um2 = np.maximum(np.median(told[:, 2:4] / _median_of_chi2(told[:, 4:]), axis=0), 0.0)
     of_scan_um2 = usual_um2 * (1 + 2 / told[:, 4].sum())
-    own_um2, freedom = np.maximum(shifts.drift[:, 2:4], 0.0), shifts.drift[:, 4:]
-    return _with_drift(shifts, (freedom * own_um2 + ALIKE_FREEDOM * of_scan_um2) / (freedom + ALIKE_FREEDOM))
+    own_um2, freedom = shifts.drift[:, 2:4], shifts.drift[:, 4:]
+    shrunk_um2 = (freedom * own_um2 + ALIKE_FREEDOM * of_scan_um2) / (freedom + ALIKE_FREEDOM)
+    return _with_drift(shifts, np.maximum(shrunk_um2, 0.0))
 
 
 def _median_of_chi2(freedom: Numbers) -> Numbers:

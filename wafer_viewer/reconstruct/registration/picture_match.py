@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +215,13 @@ def match_near(first: HeightMap, second: HeightMap, read: Read) -> Match:
 Pair = tuple[RegisteredImage, RegisteredImage]
 
 
+class _Unseen(NamedTuple):
+    """A lag at which a pattern may fit, but cannot be compared, and its standard uncertainty in pixels."""
+
+    lag: Lag
+    u_px: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Strips:
     """Compared parts of two fields, by binning factor."""
@@ -285,29 +293,42 @@ def _peaks(likeness: Likeness, least_pixels: float, reach: int) -> tuple[list[tu
 
 def _refined(
     strips: _Strips, lags: list[Lag], factor: int, window: OverlapWindow, reach_px: float
-) -> tuple[list[SubpixelShift], list[Lag]]:
+) -> tuple[list[SubpixelShift], list[_Unseen]]:
     """Refine all candidates, and the best fit with its rivals again at each finer resolution.
 
     The many rivals of a pattern are not compared at full resolution: which one is right is not for them to decide.
     Between binned pixels a candidate may be missed; where others lie on a lattice, its other points are compared too.
-    Returned beside the fits are the points at which too little of the overlap is left to be compared.
+    Returned beside the fits are the points, and the lags of the search, at which too little of the overlap is left to
+    be compared.
     """
     fits: list[SubpixelShift] = []
-    unseen: list[Lag] = []
+    unseen: list[_Unseen] = []
     for f in MATCH_SEARCH.factors[MATCH_SEARCH.factors.index(factor) :]:
         if f < MATCH_SEARCH.patterned_factor and len(fits) > MATCH_SEARCH.few:
             break
         levels, side = strips.by(f), max(6, _block_side(window) // f)
-        fits = _with_rivals(_near(levels, lags, side, f, window.nominal))
+        searched = _near(levels, lags, side, f, window.nominal)
+        fits = _with_rivals(searched)
         if f == factor and len(fits) > 1:
             missing = _missing(fits, window.nominal, reach_px)
             enough = MATCH_SEARCH.least_share * max(fit.n_pixels for fit in fits)
             there = [_aligned(levels, lag, side, f, window.nominal) for lag in missing]
             fits = _with_rivals([*fits, *_staying(there, missing, f)])
-            unseen = [lag for lag, fit in zip(missing, there, strict=True) if fit.n_pixels < enough]
-            unseen = [lag for lag in unseen if min(_apart(fit, lag) for fit in fits) > MATCH_SEARCH.same_px]
+            unseen = [_Unseen(fit.lag, float(f)) for fit in searched if fit.n_pixels < enough]
+            unseen += [_Unseen(lag, 0.0) for lag, fit in zip(missing, there, strict=True) if fit.n_pixels < enough]
+            unseen = _elsewhere(unseen, fits)
         lags = [fit.lag for fit in fits]
     return fits, unseen
+
+
+def _elsewhere(unseen: list[_Unseen], fits: list[SubpixelShift]) -> list[_Unseen]:
+    """Return the lags that are neither those of fits nor of each other."""
+    kept: list[_Unseen] = []
+    for one in unseen:
+        apart = [_apart(fit, one.lag) for fit in fits] + [math.dist(other.lag, one.lag) for other in kept]
+        if min(apart) > MATCH_SEARCH.same_px:
+            kept.append(one)
+    return kept
 
 
 def _near(levels: Pair, lags: Sequence[Lag], side: int, factor: int, nominal: Lag) -> list[SubpixelShift]:
@@ -400,7 +421,7 @@ def _nearly(fit: SubpixelShift, best: SubpixelShift) -> bool:
 
 
 def _judged(
-    fits: list[SubpixelShift], unseen: list[Lag], by_chance: bool, window: OverlapWindow, reach_px: float
+    fits: list[SubpixelShift], unseen: list[_Unseen], by_chance: bool, window: OverlapWindow, reach_px: float
 ) -> Match:
     """Return the best fit with the doubt about it; a pattern may also fit where it could not be compared.
 
@@ -412,8 +433,10 @@ def _judged(
     told = [one for one in found if np.isfinite(one.covariance).all()]
     if told:
         usual_nats = float(np.median([one.misfit_nats for one in told]))
-        places = [_candidate(replace(best, lag=lag), best, window) for lag in unseen]
-        told += [replace(place, misfit_nats=usual_nats) for place in places]
+        for one in unseen:
+            covariance = best.covariance + one.u_px**2 * np.eye(2)
+            place = _candidate(replace(best, lag=one.lag, covariance=covariance), best, window)
+            told.append(replace(place, misfit_nats=usual_nats))
     rivals = tuple(sorted(told, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
     is_open = doubt is RejectionReason.AMBIGUOUS and len(rivals) > 1
     candidates, drift = rivals if is_open else (), (best.drift, best.drift_freedom)
