@@ -211,7 +211,7 @@ fi
 if [ "$what" = all ]; then
   step "Slow tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist loadfile -m "slow and not real_time and not browser and not hardware"
   step "Tests in real time" "$bin/python" -m pytest -q --durations=5 -m "real_time and not hardware"
-  step "Browser tests" "$bin/python" -m pytest -q -n 2 --durations=25 --dist loadfile -m "not hardware" tests/browser
+  step "Browser tests" "$bin/python" -m pytest -q -n 2 --durations=25 --dist loadfile --no-loadscope-reorder -m "not hardware" tests/browser
 fi
 if [ "$what" = bench ]; then step "Benchmarks, quick runs" quick_benchmarks; fi
 if [ ${#missing[@]} -gt 0 ]; then
