@@ -46,8 +46,9 @@ def test_the_diagonal_of_the_inverse_is_that_of_the_dense_one(name: str, size: i
     places = np.random.default_rng(n).permutation(n)  # the order of fields tells nothing
     matrix = linked(n, places[links], size, n)
     expected = np.diag(np.linalg.inv(matrix.toarray()))
-    np.testing.assert_allclose(inverse_diagonal(matrix), expected, rtol=1e-9)
     np.testing.assert_allclose(inverse_diagonal(matrix.tobsr((size, size))), expected, rtol=1e-9)
+    np.testing.assert_allclose(inverse_diagonal(matrix.tobsr((1, 1))), expected, rtol=1e-9)
+    assert inverse_diagonal(matrix.tobsr((size, size)), most_steps=n * size - 1) is None
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -68,10 +69,10 @@ def test_factor_and_solution_are_those_of_the_dense_matrix(name: str, size: int)
 
 
 def test_nothing_has_no_diagonal() -> None:
-    assert inverse_diagonal(csr_array((0, 0))).shape == (0,)
+    assert inverse_diagonal(csr_array((0, 0)).tobsr((2, 2))).shape == (0,)
 
 
 def test_a_matrix_that_is_not_positive_definite_is_refused() -> None:
     matrix = eye_array(4) - coo_array(([2.0], ([1], [1])), (4, 4))
     with pytest.raises(np.linalg.LinAlgError):
-        inverse_diagonal(matrix)
+        inverse_diagonal(matrix.tobsr((2, 2)))

@@ -32,28 +32,34 @@ def solve(factor: Float64s, right: Float64s) -> Float64s:
     return x
 
 
-def inverse_diagonal(matrix: Any) -> Float64s:
-    """Return the diagonal [n] of the inverse of a scipy sparse matrix [n, n], whose order is free.
+def inverse_diagonal(matrix: Any, most_steps: float = np.inf) -> Float64s | None:
+    """Return the diagonal [n] of the inverse of a scipy BSR matrix [n, n] with square blocks, whose order is free.
 
-    Raises numpy.linalg.LinAlgError where it is not positive definite.
+    None where it would take more steps, n width^2, even in the order of the smallest band. Raises
+    numpy.linalg.LinAlgError where the matrix is not positive definite.
     """
+    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-    n = matrix.shape[0]
+    n, size, n_blocks = matrix.shape[0], matrix.blocksize[0], len(matrix.indptr) - 1
     if n == 0:
         return np.zeros(0)
-    order = reverse_cuthill_mckee(matrix.tocsr(), symmetric_mode=True)
-    place = np.empty(n, np.intp)
-    place[order] = np.arange(n)
-    entries = matrix.tocoo()
-    row, col = place[entries.row], place[entries.col]
-    lower = row >= col
-    row, col = row[lower], col[lower]
-    band = np.zeros((n, int((row - col).max(initial=0)) + 1))
-    band[col, row - col] = entries.data[lower]
+    links = csr_array((np.ones(len(matrix.indices), np.int8), matrix.indices, matrix.indptr), (n_blocks, n_blocks))
+    place = np.empty(n_blocks, np.intp)
+    place[reverse_cuthill_mckee(links, symmetric_mode=True)] = np.arange(n_blocks)
+    rows, cols = np.repeat(place, np.diff(matrix.indptr)), place[matrix.indices]
+    lower = rows >= cols
+    below = (rows - cols)[lower]
+    width = size * (int(below.max(initial=0)) + 1)
+    if n * width**2 > most_steps:
+        return None
+    band = np.zeros((n, width))
+    for i, j in np.ndindex(size, size):
+        inside = size * below + i - j >= 0
+        band[size * cols[lower][inside] + j, (size * below + i - j)[inside]] = matrix.data[lower, i, j][inside]
     inverse = np.zeros_like(band)
     _invert(factorise(band), inverse)
-    return inverse[place, 0]
+    return inverse[:, 0].reshape(n_blocks, size)[place].ravel()
 
 
 @lean_kernel

@@ -4,8 +4,8 @@ Weights decrease with the square of the residual (Geman and McClure), first at t
 at half of it and so on (graduated non-convexity: Black and Rangarajan 1996), so that no bad overlap determines the
 solution.
 
-Standard uncertainties come from the inverse of the normal equations. Up to `EXACT_FIELDS` fields its diagonal is
-exact. Beyond, `_SAMPLES` sets of errors are drawn from the uncertainties of overlaps and priors, each is solved like a
+Standard uncertainties come from the inverse of the normal equations. Up to some 10 000 fields its diagonal is exact.
+Beyond, `_SAMPLES` sets of errors are drawn from the uncertainties of overlaps and priors, each is solved like a
 measurement, and the spread of the solutions is the uncertainty (Papandreou and Yuille 2010: Gaussian sampling by local
 perturbations): unbiased, with a relative error of 1 / sqrt(2 * samples) = 10 %.
 """
@@ -269,8 +269,11 @@ def _variance_inflation(constants: _Constants, chi2: Numbers) -> float:
     return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, ROBUST.most_excess))
 
 
-EXACT_FIELDS = 10_000
-"""Largest number of fields whose uncertainties are computed exactly: more take longer than to draw samples."""
+EXACT_STEPS = 5e9
+"""Largest number of steps in which uncertainties are computed exactly, those of 10 000 fields of a wafer.
+
+More take longer than to draw samples, and more memory.
+"""
 _SAMPLES = 48
 """Number of sets of errors that are drawn for the uncertainties of many fields."""
 _AT_ONCE = 8
@@ -285,8 +288,9 @@ def standard_uncertainties(network: PoseGraph, solution: RobustSolution, wanted:
     found = np.zeros((len(network.x_um), len(wanted)))
     if solver is None or not np.any(free):
         return found
-    is_many = np.count_nonzero(free) > EXACT_FIELDS
-    variance = _sampled(network, solution, solver) if is_many else _exact(solver)
+    variance = _exact(solver)
+    if variance is None:
+        variance = _sampled(network, solution, solver)
     found[free] = np.sqrt(variance.reshape(-1, network.size)[:, wanted])
     return found
 
@@ -307,11 +311,16 @@ def _inverse_of_shared(solver: Solver) -> tuple[Numbers, Numbers]:
     return inverse[:n], inverse[n:]
 
 
-def _exact(solver: Solver) -> Numbers:
-    """Return the diagonal [n] of the inverse for the fields: of their blocks alone, and what shared unknowns add."""
+def _exact(solver: Solver) -> Numbers | None:
+    """Return the diagonal [n] of the inverse for the fields, or None if it takes too long.
+
+    It is that of their blocks alone, and what shared unknowns add.
+    """
+    alone = inverse_diagonal(solver.system.blocks, EXACT_STEPS)
+    if alone is None:
+        return None
     across, shared = _inverse_of_shared(solver)
-    by_shared = np.einsum("nk,nk->n", across @ np.linalg.inv(shared), across)
-    return inverse_diagonal(solver.system.blocks) + by_shared
+    return alone + np.einsum("nk,nk->n", across @ np.linalg.inv(shared), across)
 
 
 def _sampled(network: PoseGraph, solution: RobustSolution, solver: Solver) -> Numbers:
