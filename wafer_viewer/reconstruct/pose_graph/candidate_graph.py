@@ -81,6 +81,8 @@ class ChoiceParameters:
 CHOICE = ChoiceParameters()
 _SOME_OVERLAPS = 4000
 """Number of overlaps that show the spacing of the candidates."""
+_LOCATED = 2.0
+"""Smallest precision, added up along x and y, of a candidate that shows the spacing: that of a pixel, in 1/px^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +130,14 @@ class CandidateGraph:
         return replace(self, misfit=np.where(np.isfinite(self.misfit), 0.0, np.inf))
 
     @cached_property
+    def located(self) -> NDArray[np.bool_]:
+        """Mask of the candidates whose place is known along any direction, [e, k]: not to search pixels only."""
+        return np.isfinite(self.misfit) & (self.precision[..., 0] + self.precision[..., 2] > _LOCATED)
+
+    @cached_property
     def spacing_px(self) -> float:
         """Median distance of the nearest two candidates of the overlaps with several; infinite without."""
-        known = np.isfinite(self.misfit)
+        known = self.located
         several = np.flatnonzero(known.sum(axis=1) > 1)
         if not len(several):
             return np.inf
@@ -143,7 +150,7 @@ class CandidateGraph:
     @cached_property
     def periods_px(self) -> Numbers:
         """Median of the shortest steps between candidates, mostly along x and mostly along y, [2, 2]; NaN without."""
-        known = np.isfinite(self.misfit)
+        known = self.located
         several = np.flatnonzero(known.sum(axis=1) > 1)
         some = several[:: 1 + len(several) // _SOME_OVERLAPS]
         offset = np.where(known[some, :, None], self.offset[some], np.nan)
