@@ -3,7 +3,7 @@
 A band is an array [n, width]: entry [j, k] is that of row j + k and column j of the matrix. Of the inverse, only those
 inside the band are needed to work from its last row to its first: K. Takahashi, J. Fagan, M.-S. Chin, Proc. 8th PICA
 Conf. (1973) 63. This takes as many steps as the factorisation, n width^2, where n solutions take n^2 width. Kernels of
-our own, since the threads of LAPACK wait for each other on a busy machine: ten to forty times the processor time.
+our own, since the threads of LAPACK wait for each other on a busy machine: up to forty times the processor time.
 """
 
 from __future__ import annotations
@@ -53,10 +53,11 @@ def inverse_diagonal(matrix: Any, most_steps: float = np.inf) -> Float64s | None
     width = size * (int(below.max(initial=0)) + 1)
     if n * width**2 > most_steps:
         return None
-    band = np.zeros((n, width))
+    band, column, blocks = np.zeros((n, width)), cols[lower], matrix.data[lower]
     for i, j in np.ndindex(size, size):
-        inside = size * below + i - j >= 0
-        band[size * cols[lower][inside] + j, (size * below + i - j)[inside]] = matrix.data[lower, i, j][inside]
+        under = size * below + i - j
+        inside = under >= 0
+        band[size * column[inside] + j, under[inside]] = blocks[inside, i, j]
     inverse = np.zeros_like(band)
     _invert(factorise(band), inverse)
     return inverse[:, 0].reshape(n_blocks, size)[place].ravel()
