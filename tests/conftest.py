@@ -16,6 +16,19 @@ from tests.support.patience import PATIENCE_S
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+LONGEST_FIRST = (
+    *("test_true_tour.py", "test_true_interruptions.py", "test_true_defects.py"),
+    *("test_app.py", "test_readme.py", "test_edge_bleeding.py", "test_tampering.py", "test_wheel.py"),
+    *("test_dask_cluster.py", "test_session.py", "test_warm_up.py", "test_guided_tour.py"),
+)
+"""Files that take minutes: begun last, they are what the other worker waits for."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: k for k, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+
+
 # How long an example takes tells of the machine and of what else it does.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")

@@ -37,7 +37,7 @@ find_python() {
 install_locked() {
   local to="$1" told failed=0
   told="$(mktemp)"
-  "$to/bin/python" -m pip install -qq --disable-pip-version-check --require-hashes --requirement tests/lock.txt \
+  "$to/bin/python" -m pip install -qq --no-compile --disable-pip-version-check --require-hashes --requirement tests/lock.txt \
     2>"$told" || failed=$?
   cat "$told" >&2
   if grep -q "DO NOT MATCH THE HASHES" "$told"; then
@@ -50,7 +50,7 @@ install_locked() {
 }
 
 make_environment() {
-  local stamp pip=("$venv/bin/python" -m pip install -qq --disable-pip-version-check)
+  local stamp pip=("$venv/bin/python" -m pip install -qq --no-compile --disable-pip-version-check)
   stamp="$(cat pyproject.toml tests/lock.txt tests/lock_alone.txt | cksum)"
   [ -x "$venv/bin/python" ] || "$(find_python)" -m venv "$venv"
   if [ "$(cat "$venv/.installed" 2>/dev/null)" != "$stamp" ]; then
@@ -128,6 +128,11 @@ end_types() {
   return "$failed"
 }
 
+# Of files that go to one worker as a whole, the longest are begun first (tests/conftest.py says which).
+run_tests() {
+  "$bin/python" -m pytest -q --durations=25 --no-loadscope-reorder "$@"
+}
+
 # The modules of the Python API, where whatever a function raises itself is to be documented too.
 check_docstrings() {
   local modules
@@ -203,15 +208,17 @@ if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
   step "Format" "$bin/ruff" format --check --quiet .
   step "Layers" "$bin/lint-imports"
   start_types
-  if [ "$what" != lint ]; then
-    step "Fast tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist worksteal -m "not slow and not browser and not hardware"
+  if [ "$what" = fast ]; then
+    step "Fast tests" run_tests -n 2 --dist worksteal -m "not slow and not browser and not hardware"
+  fi
+  if [ "$what" = all ]; then
+    step "Tests, fast and slow" run_tests -n 2 --dist loadfile -m "not real_time and not browser and not hardware"
   fi
   step "Types" end_types
 fi
 if [ "$what" = all ]; then
-  step "Slow tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist loadfile -m "slow and not real_time and not browser and not hardware"
-  step "Tests in real time" "$bin/python" -m pytest -q --durations=5 -m "real_time and not hardware"
-  step "Browser tests" "$bin/python" -m pytest -q -n 2 --durations=25 --dist loadfile --no-loadscope-reorder -m "not hardware" tests/browser
+  step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
+  step "Browser tests" run_tests -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser
 fi
 if [ "$what" = bench ]; then step "Benchmarks, quick runs" quick_benchmarks; fi
 if [ ${#missing[@]} -gt 0 ]; then

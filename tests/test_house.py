@@ -152,3 +152,10 @@ def test_every_attack_of_the_documentation_has_a_test():
         for file in {file for file, _ in named}
     }
     assert not [f"{file}::{test}" for file, test in named if test not in tests[file]]
+
+
+def test_what_needs_the_machine_for_itself_lies_where_the_checks_look_for_it():
+    marked = [path for path in (ROOT / "tests").rglob("*.py") if f"mark.{'real_time'}" in path.read_text()]
+    assert marked
+    assert [path for path in marked if not path.is_relative_to(ROOT / "tests/rigs")] == []
+    assert '-m "real_time and not hardware" tests/rigs' in (ROOT / "tests/run.sh").read_text()

@@ -24,11 +24,6 @@ LIGHT = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 CHROMIUM = next((p for p in ("chromium", "chromium-browser", "google-chrome") if shutil.which(p)), None)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that drive the true program take minutes: begun first, they are not what the other worker waits for."""
-    items.sort(key=lambda item: not item.path.name.startswith("test_true_"))
-
-
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
