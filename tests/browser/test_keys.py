@@ -36,6 +36,7 @@ def test_a_key_works_while_a_ticked_checkbox_has_the_focus(serve: Serve):
 def test_an_arrow_moves_the_slider_that_has_the_focus_and_not_the_camera(serve: Serve):
     page = serve(fake.FakeSession(fake.measured()))
     go_to(page, "Surface")
+    title_is(page, "Surface")  # before, the first slider is that of the step that is left
     slider = page.get_by_role("slider").first
     slider.focus()
     eventually(lambda: camera_at_rest(page), "the camera at rest")
