@@ -120,5 +120,6 @@ def test_an_area_is_searched_again_once_it_is_taken_away(session: Session, page:
     page.locator("[data-pick=defect-more]").press("Enter")
     page.locator("[data-pick=defect-excluded][data-k='']").press("Enter")
     dialog.locator("[data-pick=defect-area-away][data-k='1']").press("Enter")
+    expect(dialog.locator("[data-pick=defect-area-away]")).to_have_count(1)
     dialog.get_by_role("button", name="Keep", exact=True).click()
     expect(page.get_by_text("1 area of every die left out")).to_be_visible()

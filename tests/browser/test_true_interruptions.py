@@ -13,7 +13,7 @@ import psutil
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.steps import eventually, notes, press, title_is
+from tests.browser.steps import eventually, notes, press, set_numbers, title_is
 from tests.session.conftest import small_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -83,6 +83,9 @@ def test_a_scan_is_continued_after_its_program_was_killed(
     program, address = serve_folder()
     page = look_at(address)
     page.locator("[data-pick=tour]").click(timeout=1000 * WORK_S)  # offered once the rig answers
+    page.keyboard.press("Escape")  # its plan stays
+    set_numbers(page, "Columns, rows", 4, 1)
+    expect(page.get_by_text(re.compile("^4 fields · "))).to_be_visible()
     press(page, "Start scan")
     title_is(page, re.compile("field 2"))
     kill(program)
