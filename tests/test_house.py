@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import pytest
 
+from tests.conftest import LONGEST_FIRST
 from tests.support.paths import ROOT
 
 MODULES = sorted((ROOT / "wafer_viewer").rglob("*.py"))
@@ -159,3 +160,7 @@ def test_what_needs_the_machine_for_itself_lies_where_the_checks_look_for_it():
     assert marked
     assert [path for path in marked if not path.is_relative_to(ROOT / "tests/rigs")] == []
     assert '-m "real_time and not hardware" tests/rigs' in (ROOT / "tests/run.sh").read_text()
+
+
+def test_the_longest_files_of_the_tests_are_there_to_be_begun_first():
+    assert set(LONGEST_FIRST) <= {path.name for path in (ROOT / "tests").rglob("test_*.py")}

@@ -26,8 +26,8 @@ FLAGS = (
 )
 """Chromium without a screen, a graphics card or a network.
 
-Every window would load two pages of its own for its address bar, which takes a third as long as the program's page.
-The other features are those that Playwright's own flag, which this one replaces, switches off.
+Every window would load two pages of its own for its address bar, for almost half of what the program's page takes.
+The flag replaces Playwright's own: of the features that it switches off, those that a page could notice are named too.
 """
 REMEMBERED = "viser-user:wafer-viewer-view"
 REST_S = 2.5
