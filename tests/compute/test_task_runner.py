@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from contextlib import closing
 
@@ -76,6 +77,17 @@ def test_a_runner_without_a_consumer_stops(crew, tmp_path):
 def test_a_worker_keeps_freed_memory_for_the_next_array(cluster):
     (done,) = cluster.each(worker_tasks.said_to_the_process, [("MALLOC_TRIM_THRESHOLD_",)])
     assert int(done.value) > 2**20
+
+
+def test_workers_are_set_up_alike_beside_another_cluster_which_keeps_its_settings(monkeypatch):
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")  # as another dask cluster of this process leaves it
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    with crew_for(workers=2) as crew:
+        asked = [("MALLOC_TRIM_THRESHOLD_",), ("OMP_NUM_THREADS",)]
+        told = {done.index: done.value for done in crew.each(worker_tasks.said_to_the_process, asked)}
+    assert told == {0: str(256 * 2**20), 1: "1"}
+    assert os.environ["MALLOC_TRIM_THRESHOLD_"] == "65536"
+    assert "OMP_NUM_THREADS" not in os.environ
 
 
 def test_a_bug_ends_its_task_on_a_worker_and_everything_here(cluster):

@@ -6,6 +6,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+from unittest.mock import patch
 
 import numpy as np
 import psutil
@@ -258,7 +259,7 @@ def test_a_cluster_that_runs_already_is_joined_with_certificates_only(monkeypatc
         pem.write_text(getattr(security, f"tls_{name}"))
         monkeypatch.setenv(f"DASK_DISTRIBUTED__COMM__TLS__{name.upper().replace('CLIENT_', 'CLIENT__')}", str(pem))
     cluster = {"n_workers": 1, "threads_per_worker": 1, "protocol": "tls://", "dashboard_address": "127.0.0.1:0"}
-    with LocalCluster(security=security, **cluster) as running:
+    with patch.dict(os.environ), LocalCluster(security=security, **cluster) as running:  # dask adds its own
         joined = Session(tmp_path / "c", scheduler=running.scheduler_address)
         present = joined.wait_until(lambda s: s.compute_ready or s.faults, patience_s)
         joined.close()

@@ -22,20 +22,21 @@ from wafer_viewer.model.errors import ComputeError
 
 WORKER_MEMORY = "3GiB"
 PATIENCE_S = 20.0
+WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": 1,
+    "MKL_NUM_THREADS": 1,
+    "OPENBLAS_NUM_THREADS": 1,
+    # By default dask returns freed arrays to the system at once; allocating them again costs more than most tasks.
+    "MALLOC_TRIM_THRESHOLD_": 256 * 2**20,
+    "MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
+}
 SETTINGS: dict[str, Any] = {
     # Workers return small results only: there is nothing to spill, and a paused worker would never resume.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
-    "distributed.nanny.pre-spawn-environ": {
-        "OMP_NUM_THREADS": 1,
-        "MKL_NUM_THREADS": 1,
-        "OPENBLAS_NUM_THREADS": 1,
-        # By default dask returns freed arrays to the system at once; allocating them again costs more than most tasks.
-        "MALLOC_TRIM_THRESHOLD_": 256 * 2**20,
-        "MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
-    },
+    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
     "distributed.nanny.preload": ["wafer_viewer.compute.dask_worker"],
     "distributed.worker.preload": ["wafer_viewer.compute.dask_worker"],
     "distributed.scheduler.preload": ["wafer_viewer.compute.dask_worker"],
@@ -67,20 +68,39 @@ def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
 
 @contextmanager
 def _own(workers: int) -> Generator[Client]:
-    with _where("this machine"), _block_sigint():
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            protocol="tls://",
-            security=Security.temporary(),
-            memory_limit=WORKER_MEMORY,
-            dashboard_address="127.0.0.1:0",
-            worker_dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        )
-    with cluster, Client(cluster) as client:
-        yield client
+    with _spare_own_environment():
+        with _where("this machine"), _block_sigint():
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                protocol="tls://",
+                security=Security.temporary(),
+                memory_limit=WORKER_MEMORY,
+                dashboard_address="127.0.0.1:0",
+                worker_dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+        with cluster, Client(cluster) as client:
+            yield client
+
+
+@contextmanager
+def _spare_own_environment() -> Generator[None]:
+    """Let the workers' environment be that of `WORKER_ENVIRONMENT`, and restore this process's own afterwards.
+
+    dask prefers what this process's environment says, which may come from another cluster in it: dask writes the
+    variables of workers to the environment of the process that starts them, and leaves them there.
+    """
+    names = (*WORKER_ENVIRONMENT, "PYTHONHASHSEED")
+    before = {name: os.environ.pop(name, None) for name in names}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
 
 
 @contextmanager
