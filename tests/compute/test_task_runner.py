@@ -13,8 +13,9 @@ from distributed.comm import CommClosedError
 from tests.support.datasets import worker_tasks
 from wafer_viewer.compute import dask_cluster
 from wafer_viewer.compute.compute_client import Compute
-from wafer_viewer.compute.messages import Progressed
+from wafer_viewer.compute.messages import Progressed, WarmUp
 from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner, crew_for
+from wafer_viewer.compute.worker_environment import FORKS
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.session.surface.worker_tasks import WARM_UP
 
@@ -177,3 +178,24 @@ def test_a_work_is_led_by_the_host_while_single_tasks_go_first(patience_s):
         assert waiting.result(patience_s) == 5
     finally:
         compute.close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FORKS, reason="workers begin with nothing here")
+def test_workers_of_a_session_begin_with_what_was_loaded_once(patience_s):
+    loaded = "wafer_viewer.session.surface.stitching_job"
+    warm_up = WarmUp(first=print, beside=print, complete=print, loaded=WARM_UP.loaded)
+    compute = Compute(None, warm_up, lambda event: None, lambda code: None)
+    try:
+        host = psutil.Process(compute.start().process.pid)
+        ask = worker_tasks.lead_everywhere, worker_tasks.began_with, [(loaded,)] * 40
+        told = set(compute.lead("first", *ask).result(patience_s))
+        for worker, was_there, niceness, trim in told:
+            assert (was_there, niceness, trim) == (True, host.nice(), str(256 * 2**20))
+            assert psutil.Process(worker).parent().ppid() == host.pid
+        psutil.Process(next(iter(told))[0]).kill()
+        again = set(compute.lead("again", *ask).result(patience_s))
+        assert all(was_there for _, was_there, *_ in again)
+    finally:
+        compute.close()
+    assert not host.is_running()

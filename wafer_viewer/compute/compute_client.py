@@ -7,9 +7,12 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.compute.child_process import ChildProcess
+from wafer_viewer.compute.child_process import ChildProcess, run_in_background
 from wafer_viewer.compute.messages import Answer, Args, Cancel, LedTask, RunLedTask, RunTask, WarmUp, WatchedTask
 from wafer_viewer.compute.task_runner import require_tls
+from wafer_viewer.compute.worker_environment import FORKS, start_fork_server
+
+NICENESS = 5
 
 
 class Compute:
@@ -56,6 +59,10 @@ class Compute:
 
 
 def _host(pipe: Connection, scheduler: str | None, warm_up: WarmUp) -> None:
+    run_in_background(NICENESS)
+    loaded = warm_up.loaded if FORKS and scheduler is None else None
+    if loaded is not None:
+        start_fork_server(loaded)  # it loads while this process imports dask
     from wafer_viewer.compute.compute_host import run_compute
 
-    run_compute(pipe, scheduler, warm_up)
+    run_compute(pipe, scheduler, warm_up, forked=loaded is not None)

@@ -17,7 +17,7 @@ from typing import Any
 
 from distributed import CancelledError, Client, Event, Future
 
-from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
+from wafer_viewer.compute.child_process import ChildConnection, Request
 from wafer_viewer.compute.dask_cluster import client_of
 from wafer_viewer.compute.messages import (
     PROGRESS_TOPIC,
@@ -36,18 +36,16 @@ from wafer_viewer.compute.messages import (
 from wafer_viewer.compute.task_runner import COUNT_EVERY_S, DaskRunner, n_local_workers
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 
-NICENESS = 5
 RUN_PRIORITY = 10
 """Priority of single tasks, such as a field of the running scan, over the tasks of a led work."""
 
 
-def run_compute(pipe: Connection, scheduler: str | None, warm_up: WarmUp) -> None:
-    """Run the compute host until the pipe ends."""
-    run_in_background(NICENESS)
+def run_compute(pipe: Connection, scheduler: str | None, warm_up: WarmUp, *, forked: bool = False) -> None:
+    """Run the compute host until the pipe ends. forked: see `client_of`."""
     end = ChildConnection(pipe)
     with ExitStack() as until_end:
         try:
-            client = until_end.enter_context(client_of(scheduler, n_local_workers()))
+            client = until_end.enter_context(client_of(scheduler, n_local_workers(), forked))
         except ComputeError as fault:
             end.tell(ComputeAbsent(str(fault)))
             return

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,18 +17,11 @@ import dask.config
 from distributed import Client, LocalCluster, Security
 
 from wafer_viewer.compute.task_runner import DaskRunner
+from wafer_viewer.compute.worker_environment import WORKER_ENVIRONMENT, block_sigint, worker_environment
 from wafer_viewer.model.errors import ComputeError
 
 WORKER_MEMORY = "3GiB"
 PATIENCE_S = 20.0
-WORKER_ENVIRONMENT = {
-    "OMP_NUM_THREADS": 1,
-    "MKL_NUM_THREADS": 1,
-    "OPENBLAS_NUM_THREADS": 1,
-    # By default dask returns freed arrays to the system at once; allocating them again costs more than most tasks.
-    "MALLOC_TRIM_THRESHOLD_": 256 * 2**20,
-    "MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
-}
 SETTINGS: dict[str, Any] = {
     # Workers return small results only: there is nothing to spill, and a paused worker would never resume.
     "distributed.worker.memory.target": False,
@@ -57,19 +49,22 @@ _TLS = "distributed.comm.tls"
 
 
 @contextmanager
-def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
+def client_of(scheduler: str | None, workers: int, forked: bool = False) -> Generator[Client]:
     """Connect to the cluster at an address, or to a new local one with some workers, which ends with the client.
+
+    forked: local workers are forks of the process that `start_fork_server` started, instead of beginning with nothing.
 
     Raises ComputeError if certificates are missing or rejected, or if no worker answers.
     """
-    with dask.config.set(SETTINGS), _quiet(), _joined(scheduler) if scheduler else _own(workers) as client:
+    method = {"distributed.worker.multiprocessing-method": "forkserver" if forked else "spawn"}
+    with dask.config.set(SETTINGS | method), _quiet(), _joined(scheduler) if scheduler else _own(workers) as client:
         yield client
 
 
 @contextmanager
 def _own(workers: int) -> Generator[Client]:
-    with _spare_own_environment():
-        with _where("this machine"), _block_sigint():
+    with worker_environment():
+        with _where("this machine"), block_sigint():
             cluster = LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
@@ -83,24 +78,6 @@ def _own(workers: int) -> Generator[Client]:
             )
         with cluster, Client(cluster) as client:
             yield client
-
-
-@contextmanager
-def _spare_own_environment() -> Generator[None]:
-    """Let the workers' environment be that of `WORKER_ENVIRONMENT`, and restore this process's own afterwards.
-
-    dask prefers what this process's environment says, which may come from another cluster in it: dask writes the
-    variables of workers to the environment of the process that starts them, and leaves them there.
-    """
-    names = (*WORKER_ENVIRONMENT, "PYTHONHASHSEED")
-    before = {name: os.environ.pop(name, None) for name in names}
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
 
 
 @contextmanager
@@ -146,22 +123,6 @@ def _where(place: str) -> Generator[None]:
     except (OSError, TimeoutError, ValueError, RuntimeError) as fault:  # RuntimeError: a worker ended while it started
         reason = " ".join(str(fault).split()).rstrip(".")
         raise ComputeError(f"There is no cluster at {place}: {reason}. Try again; what was done is kept.") from fault
-
-
-@contextmanager
-def _block_sigint() -> Generator[None]:
-    """Block SIGINT in processes started meanwhile, so that Ctrl-C in a terminal reaches only this process, afterwards.
-
-    Threads started meanwhile pass the blocked signal on to every process that they start later.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

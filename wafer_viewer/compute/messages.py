@@ -53,11 +53,14 @@ class WarmUp:
     """Functions by which workers compile kernels, or load what others have compiled.
 
     first: all that the first tasks need; beside: a part of it and more, on a second worker meanwhile; complete: all.
+    loaded: module whose import loads what is compiled already, in a process that workers can be forks of; None for
+    workers that begin with nothing.
     """
 
     first: Callable[[], None]
     beside: Callable[[], None]
     complete: Callable[[], None]
+    loaded: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import os
 import signal
+import sys
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
@@ -79,3 +80,17 @@ def lead_for_ever(*, crew, progress=silent, should_stop=never):
 def lead_squares_alone(count, *, progress=silent, should_stop=never):
     """A single task of a worker."""
     return sum(i * i for i in range(count))
+
+
+def lead_everywhere(task, items, *, crew, progress=silent, should_stop=never):
+    """Led: what a task returns for some items."""
+    return [done.value for done in crew.each(task, items, should_stop=should_stop)]
+
+
+def began_with(module):
+    """Process, whether a module was there before the first task, niceness, and what the environment says of memory."""
+    return os.getpid(), _BEFORE.setdefault(module, module in sys.modules), os.nice(0), said_to_the_process(_TRIM)
+
+
+_BEFORE: dict[str, bool] = {}
+_TRIM = "MALLOC_TRIM_THRESHOLD_"

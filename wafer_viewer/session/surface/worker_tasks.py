@@ -214,7 +214,21 @@ def warm_up_stitching() -> None:
     _stitch([_tiny_surface(_tiny_stack(x_um)) for x_um in _TINY_X_UM])
 
 
-WARM_UP = WarmUp(first=warm_up_heights, beside=warm_up_beside, complete=warm_up)
+def load_kernels() -> None:
+    """Load the kernels of a field and of a mosaic without starting a thread; those that are missing are compiled."""
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct
+    from wafer_viewer.reconstruct.stitching import stitch
+
+    warm_up_heights()
+    stitch([reconstruct(_tiny_stack(x_um), threads=1) for x_um in _TINY_X_UM])
+
+
+WARM_UP = WarmUp(
+    first=warm_up_heights,
+    beside=warm_up_beside,
+    complete=warm_up,
+    loaded="wafer_viewer.session.surface.loaded_worker",
+)
 """What the workers of a session compile before a scan needs it."""
 
 
