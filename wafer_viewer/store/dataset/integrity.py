@@ -20,7 +20,7 @@ from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.store.dataset.journal_index import INDEX
 from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
 from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, SCHEMA_VERSION, JournalReader, with_version
-from wafer_viewer.store.io.atomic_files import natural_sort_key, size
+from wafer_viewer.store.io.atomic_files import files_below, natural_sort_key, size
 from wafer_viewer.store.io.checksums import (
     Checksum,
     archive_state,
@@ -87,7 +87,7 @@ def check_files(
     """
     if not dataset.is_dir():
         raise DatasetError(f"{dataset} does not exist: check the path.")
-    files = sorted((p for p in dataset.rglob("*") if p.is_file()), key=lambda path: natural_sort_key(str(path)))
+    files = sorted(files_below(dataset), key=lambda path: natural_sort_key(str(path)))
     states: dict[str, list[Checksum | str]] = defaultdict(list)
     for path in with_progress(files, len(files), "The check", progress, should_stop):
         kind = kind_of(path.relative_to(dataset).as_posix())
@@ -112,7 +112,7 @@ def kind_of(path: str) -> FileRole | None:
 def is_mosaic_good(mosaic: Path) -> bool:
     """Return whether no file of a mosaic is damaged; all of them are read."""
     prefix = f"results/x/{mosaic.name}"
-    for path in (p for p in mosaic.rglob("*") if p.is_file()):
+    for path in files_below(mosaic):
         kind = kind_of(f"{prefix}/{path.relative_to(mosaic).as_posix()}")
         if kind is not None and kind.examine is not None and isinstance(_state(path, kind.examine), str):
             return False
@@ -258,9 +258,7 @@ def digests_of_result(result: Result) -> tuple[Digest, ...]:
 def _files(place: Path) -> list[Path]:
     """Return a file, or all files in a folder in natural order of their names."""
     if place.is_dir():
-        return sorted(
-            (path for path in place.rglob("*") if path.is_file()), key=lambda path: natural_sort_key(str(path))
-        )
+        return sorted(files_below(place), key=lambda path: natural_sort_key(str(path)))
     return [place] if place.exists() else []
 
 

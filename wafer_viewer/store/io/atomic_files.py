@@ -222,6 +222,19 @@ def _runs(pid: int) -> bool:
     return True
 
 
+def files_below(folder: Path) -> list[Path]:
+    """Return all files in a folder and in those below it, in no order; folders that are links are not entered."""
+    found: list[Path] = []
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            path = Path(entry.path)
+            if entry.is_dir(follow_symlinks=False):
+                found += files_below(path)
+            elif path.is_file() if entry.is_symlink() else entry.is_file(follow_symlinks=False):
+                found.append(path)
+    return found
+
+
 def require_space(folder: Path, needed_bytes: int, purpose: str) -> None:
     """Raise DatasetError when the disk of `folder` has less free space than needed."""
     free = shutil.disk_usage(_existing(folder)).free

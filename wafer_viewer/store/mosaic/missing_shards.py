@@ -7,7 +7,10 @@ only if a finer shard is missing.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
@@ -51,9 +54,10 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
     DatasetError
         When a file that the check needs is damaged.
     """
+    shards_of = cache(_shards)
     for name in HEIGHTS if heights_only else mosaic.layer_names:
         levels = levels_of(name, mosaic.header)
-        shards = {level: _shards(mosaic.path / name / str(level)) for level in levels}
+        shards = {level: shards_of(mosaic.path / name / str(level)) for level in levels}
         for level in levels[1:]:
             yield from _missing_finer_shards(mosaic, name, level, shards[level - 1], shards[level])
             if name not in VANISHES:
@@ -62,9 +66,9 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
     for name, implying in IMPLIED.items():
         if name in mosaic.layer_names and not (heights_only and name != "origin"):
             for level in levels_of(name, mosaic.header):
-                lacks = _shards(mosaic.path / implying / str(level)) - _shards(mosaic.path / name / str(level))
+                lacks = shards_of(mosaic.path / implying / str(level)) - shards_of(mosaic.path / name / str(level))
                 yield from (_path(mosaic, name, level, place) for place in sorted(lacks))
-    written, described = _shards(mosaic.path / "origin" / "0"), _shards(mosaic.path / FACTS)
+    written, described = shards_of(mosaic.path / "origin" / "0"), shards_of(mosaic.path / FACTS)
     expected = {(row // 2, col // 2) for row, col in written}
     yield from (mosaic.path / FACTS / "c" / f"{row}" / f"{col}" / "0" for row, col in sorted(expected - described))
     if not heights_only:
@@ -115,16 +119,14 @@ def _missing_by_statistics(mosaic: ZarrMosaic) -> Iterator[Path]:
 
 def _shards(array: Path) -> set[Place]:
     """Return rows and columns of the shards of an array that exist as a file or a folder."""
-    folder = array / "c"
-    if not folder.is_dir():
-        return set()
-    return {
-        (int(row.name), int(file.name))
-        for row in folder.iterdir()
-        if row.name.isdecimal() and row.is_dir()
-        for file in row.iterdir()
-        if file.name.isdecimal() and (file.is_file() or (file / "0").is_file())
-    }
+    found: set[Place] = set()
+    with suppress(FileNotFoundError, NotADirectoryError), os.scandir(array / "c") as rows:
+        for row in rows:
+            if row.name.isdecimal() and row.is_dir():
+                with os.scandir(row) as files:
+                    there = (f for f in files if f.name.isdecimal() and (f.is_file() or Path(f.path, "0").is_file()))
+                    found |= {(int(row.name), int(file.name)) for file in there}
+    return found
 
 
 def _path(mosaic: ZarrMosaic, name: str, level: int, place: Place) -> Path:

@@ -20,7 +20,7 @@ from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.store.io.atomic_files import atomic_write, make_folder
 from wafer_viewer.store.io.checksums import Checksum, remedy
 from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.zarr_shards import CHECKSUM_BYTES, append_checksum, strip_checksum
+from wafer_viewer.store.mosaic.zarr_shards import CHECKSUM_BYTES, append_checksum, require_checksum
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.grids.pyramid_level import Layers
@@ -110,7 +110,7 @@ def save_statistics(mosaic: Path, shape: tuple[int, int], top: int, left: int, l
     row, col = top // size, left // size
     path = mosaic / FACTS / "c" / str(row // n) / str(col // n) / "0"
     blocks = _blocks_of(layers, _step(shape))
-    stored = _loaded(path, blocks.dtype) if path.exists() else _empty_blocks((n, n), blocks.dtype)
+    stored = _loaded(path, blocks.dtype).copy() if path.exists() else _empty_blocks((n, n), blocks.dtype)
     stored[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
     make_folder(path.parent)
     with atomic_write(path) as temporary:
@@ -143,7 +143,7 @@ def blocks_with_heights(mosaic: Path, shape: tuple[int, int]) -> set[tuple[int, 
 def facts_state(path: Path) -> Checksum:
     """Return the checksum state of one statistics file."""
     try:
-        strip_checksum(path.read_bytes())
+        require_checksum(path.read_bytes())
     except ValueError:
         with suppress(DatasetError):
             return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
@@ -200,8 +200,9 @@ def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
         if n_bytes not in (n * n * record.itemsize, n * n * record.itemsize + CHECKSUM_BYTES):
             raise damaged
         content = path.read_bytes()
-        older = n_bytes == n * n * record.itemsize
-        return np.frombuffer(content if older else strip_checksum(content), record).reshape(n, n).copy()
+        if n_bytes > n * n * record.itemsize:
+            require_checksum(content)
+        return np.frombuffer(content, record, n * n).reshape(n, n)
 
 
 def _joined(blocks: Blocks) -> MosaicStatistics:

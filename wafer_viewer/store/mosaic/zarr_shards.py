@@ -25,6 +25,8 @@ from wafer_viewer.store.io.checksums import crc32c, damaged, remedy
 ABSENT = 2**64 - 1
 """Index entry of a chunk that holds only the fill value."""
 CHECKSUM_BYTES = 4
+_OF_CHECKED = 0x48674BC7
+"""CRC-32C of any bytes that are followed by their own."""
 Chunks = dict[tuple[int, int], bytes]
 """Encoded chunks by row and column in their shard."""
 
@@ -68,7 +70,7 @@ class Shards:
         """Verify the checksums of the index and of all chunks. Raises DatasetError when one differs."""
         for chunk in self._stored_chunks(path).values():
             try:
-                strip_checksum(chunk)
+                require_checksum(chunk)
             except ValueError as fault:
                 raise damaged(path) from fault
 
@@ -224,10 +226,14 @@ def append_checksum(content: bytes) -> bytes:
 
 def strip_checksum(content: bytes) -> bytes:
     """Return bytes without their checksum. Raises ValueError when it is wrong."""
-    body = content[:-CHECKSUM_BYTES]
-    if crc32c(body).to_bytes(CHECKSUM_BYTES, "little") != content[-CHECKSUM_BYTES:]:
+    require_checksum(content)
+    return content[:-CHECKSUM_BYTES]
+
+
+def require_checksum(content: bytes) -> None:
+    """Raise ValueError when the checksum at the end of bytes is wrong; they are not copied."""
+    if len(content) < CHECKSUM_BYTES or crc32c(content) != _OF_CHECKED:
         raise ValueError("the checksum is wrong")
-    return body
 
 
 def _unreadable(path: Path, _: Exception) -> DatasetError:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Spec, encode, replace
-from wafer_viewer.store.io.atomic_files import make_folder, remove, write_text
+from wafer_viewer.store.io.atomic_files import files_below, make_folder, remove, write_text
 from wafer_viewer.store.io.checksums import (
     SURFACES,
     FileMark,
@@ -49,6 +49,8 @@ from wafer_viewer.store.records.signing_key import (
     trusted_keys,
 )
 
+A = TypeVar("A")
+B = TypeVar("B")
 S = TypeVar("S", bound=Spec)
 MANIFEST = "manifest.json"
 MARKS, LOCK = "manifests", "manifests.lock"
@@ -61,6 +63,8 @@ RECORDS = ("findings.json", "defects.json", "verdict.json", "notebook.json", "co
 DERIVED = "surface.json"
 """Record that is made again when it is missing or not as it was saved."""
 _MOST_THREADS = 8
+_THREADS_FROM_BYTES = 1 << 26
+"""Bytes to hash from which threads are worth it: a tenth of a second on one core."""
 _PIECE_BYTES = 1 << 20
 _VERSION_KEY = b'"schema_version"'
 
@@ -213,8 +217,8 @@ def sign_result(result: Path, *, fresh: bool = False) -> None:
         if place.path.is_file():
             place.require_trusted(before)
     known = before.files if before.complete else {}
-    with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as threads:
-        made = dict(zip(names, threads.map(lambda name: _covered(result / name, known.get(name)), names), strict=True))
+    n_bytes = sum((result / name).stat().st_size for name in names)
+    made = dict(zip(names, _mapped(lambda name: _covered(result / name, known.get(name)), names, n_bytes), strict=True))
     with _locked(place):
         now = place.present()
         records = {name: covered for name, covered in now.files.items() if name in RECORDS}
@@ -351,10 +355,9 @@ def _deviations(place: _Place, manifest: Manifest) -> Iterator[tuple[str, str]]:
     """Yield path and sentence of each file that is not as the manifest has it, and of those that it does not list."""
     there = set(_made(place.folder)) if place.of and manifest.complete else set[str]()
     there |= {name for name in RECORDS if place.of and (place.folder / name).is_file()}
-    with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as threads:
-        listed = list(manifest.files.items())
-        states = threads.map(lambda item: _state(place, *item), listed)
-        yield from ((name, fault) for (name, _), fault in zip(listed, states, strict=True) if fault)
+    listed = list(manifest.files.items())
+    states = _mapped(lambda item: _state(place, *item), listed, sum(covered.n_bytes for _, covered in listed))
+    yield from ((name, fault) for (name, _), fault in zip(listed, states, strict=True) if fault)
     for name in sorted(there - manifest.files.keys()):
         path = place.folder / name
         yield name, f"{path} was added: {place.path} does not list it: {remedy(path)}."
@@ -384,11 +387,20 @@ def _made(result: Path) -> Iterator[str]:
     """Yield the files that are made together, by their paths in a result."""
     for name in MADE:
         path = result / name
-        found = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        found = sorted(files_below(path)) if path.is_dir() else [path] if path.is_file() else []
         for file in found:
-            relative = file.relative_to(result)
-            if file.is_file() and not any(part.startswith(".") for part in relative.parts):
-                yield relative.as_posix()
+            parts = file.parts[len(result.parts) :]
+            if not any(part.startswith(".") for part in parts):
+                yield "/".join(parts)
+
+
+def _mapped(function: Callable[[A], B], items: Sequence[A], n_bytes: int) -> Iterator[B]:
+    """Yield a function of each item, in threads if they read so many bytes that these pay."""
+    if n_bytes < _THREADS_FROM_BYTES:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as threads:
+        yield from threads.map(function, items)
 
 
 def _covered(path: Path, known: Covered | None = None) -> Covered:
