@@ -128,25 +128,42 @@ def trace_view(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def add_shifted(plane, row, col, weight, total):
-    """total += weight x plane from (row, col) on, bilinear between its pixels."""
+def add_shifted(plane, begins, ends, row, col, weight, total):
+    """total += weight x plane from (row, col) on, bilinear between its pixels, which are zero outside of the spans."""
     i, j = int(row), int(col)
     y, x = np.float32(row - i), np.float32(col - j)
     w = np.float32(weight)
     w00, w01, w10, w11 = w * (1 - y) * (1 - x), w * (1 - y) * x, w * y * (1 - x), w * y * x
     n = total.shape[1]
     for r in range(total.shape[0]):
-        out = total[r]
-        a, b = plane[i + r, j : j + n], plane[i + r, j + 1 : j + n + 1]
-        c, d = plane[i + r + 1, j : j + n], plane[i + r + 1, j + 1 : j + n + 1]
-        for k in range(n):
+        begin = max(0, min(begins[i + r], begins[i + r + 1]) - 1 - j)
+        end = min(n, max(ends[i + r], ends[i + r + 1]) - j)
+        if begin >= end:
+            continue
+        out = total[r, begin:end]
+        a, b = plane[i + r, j + begin : j + end], plane[i + r, j + begin + 1 : j + end + 1]
+        c, d = plane[i + r + 1, j + begin : j + end], plane[i + r + 1, j + begin + 1 : j + end + 1]
+        for k in range(end - begin):
             out[k] += w00 * a[k] + w01 * b[k] + w10 * c[k] + w11 * d[k]
+
+
+@njit(cache=True, nogil=True)
+def _spans(plane):
+    """The columns of each row of a plane from the first to behind the last that is not zero."""
+    n_rows, n_cols = plane.shape
+    begins, ends = np.full(n_rows, n_cols), np.zeros(n_rows, np.int64)
+    for r in range(n_rows):
+        for c in range(n_cols):
+            if plane[r, c] != 0:
+                begins[r], ends[r] = min(begins[r], c), c + 1
+    return begins, ends
 
 
 @njit(cache=True, nogil=True)
 def add_view(planes, rows, cols, weight, totals):
     """Add a view to every frame: frame k of totals [plane, k, row, col] sees planes from (rows[k], cols[k]) on."""
     for n in range(len(planes)):
-        if planes[n].max() > 0:
+        begins, ends = _spans(planes[n])
+        if ends.max() > 0:
             for k in range(len(rows)):
-                add_shifted(planes[n], rows[k], cols[k], weight, totals[n, k])
+                add_shifted(planes[n], begins, ends, rows[k], cols[k], weight, totals[n, k])
