@@ -225,7 +225,7 @@ def _runs(pid: int) -> bool:
 def files_below(folder: Path) -> list[Path]:
     """Return all files in a folder and in those below it, in no order; folders that are links are not entered."""
     found: list[Path] = []
-    with suppress(OSError), os.scandir(folder) as entries:
+    with suppress(FileNotFoundError, NotADirectoryError, PermissionError), os.scandir(folder) as entries:
         for entry in entries:
             path = Path(entry.path)
             if entry.is_dir(follow_symlinks=False):
