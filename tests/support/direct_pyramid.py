@@ -1,4 +1,4 @@
-"""Levels of a pyramid computed directly from level 0, a pixel at a time, in float64."""
+"""Levels of a pyramid computed directly from level 0 in float64, each level by itself."""
 
 from __future__ import annotations
 
@@ -16,32 +16,38 @@ GREY_PER_LEVEL = 0.5
 def direct_level(surface: HeightMap, level: int) -> dict[str, NDArray]:
     """The layers of a level from 1 on: means of the measured pixels of level 0, their extremes, the best origins."""
     n = 2**level
-    shape = tuple(-(-size // n) for size in surface.shape)
     means = ("z_um", "confidence", "z_raw_um", "all_in_focus", *(k for k in ("overlap_um", "u_um") if has(surface, k)))
-    out = {name: np.full(shape, np.nan) for name in (*means, "z_min_um", "z_max_um", "origin")}
-    for row, col in np.ndindex(shape):
-        below = np.s_[row * n : (row + 1) * n, col * n : (col + 1) * n]
-        origin = surface.origin[below]
-        best = out["origin"][row, col] = origin.min()
-        measured = surface.z_um[below][origin == Origin.MEASURED]
-        counted = {"z_um": origin == best, "confidence": origin == best, "all_in_focus": origin != Origin.NOT_COVERED}
-        for name in means:
-            values = getattr(surface, name)[below].astype(float)[counted.get(name, np.s_[:])].ravel()
-            out[name][row, col] = mean(values)
-        if measured.size:
-            out["z_min_um"][row, col], out["z_max_um"][row, col] = measured.min(), measured.max()
+    origin = blocks(surface.origin, n)
+    best = np.nanmin(origin, axis=-1, keepdims=True)
+    counted = {"z_um": origin == best, "confidence": origin == best, "all_in_focus": origin != Origin.NOT_COVERED}
+    out = {name: mean(blocks(getattr(surface, name), n), counted.get(name)) for name in means}
     for name in ("confidence", "all_in_focus"):
         out[name] = np.nan_to_num(out[name])
-    return out
+    measured, z_um = origin == Origin.MEASURED, blocks(surface.z_um, n)
+    for name, extreme, far in (("z_min_um", np.min, np.inf), ("z_max_um", np.max, -np.inf)):
+        found = extreme(np.where(measured, z_um, far), axis=-1)
+        out[name] = np.where(measured.any(axis=-1), found, np.nan)
+    return {**out, "origin": best[..., 0]}
+
+
+def blocks(layer: NDArray, n: int) -> NDArray[np.float64]:
+    """The n x n pixels below each pixel of a coarser level, along the last axis: NaN beyond the border."""
+    rows, cols = (-(-size // n) for size in layer.shape)
+    padded = np.full((rows * n, cols * n), np.nan)
+    padded[: layer.shape[0], : layer.shape[1]] = layer
+    return padded.reshape(rows, n, cols, n).swapaxes(1, 2).reshape(rows, cols, n * n)
 
 
 def has(surface: HeightMap, name: str) -> bool:
     return getattr(surface, name) is not None
 
 
-def mean(values: NDArray) -> float:
-    valid = values[np.isfinite(values)]
-    return valid.mean() if valid.size else np.nan
+def mean(values: NDArray, counted: NDArray[np.bool_] | None = None) -> NDArray:
+    """The mean of the finite values along the last axis, of those that count: NaN of none."""
+    valid = np.isfinite(values) if counted is None else np.isfinite(values) & counted
+    numbers = valid.sum(axis=-1)
+    total = np.where(valid, values, 0.0).sum(axis=-1)
+    return np.divide(total, numbers, out=np.full(total.shape, np.nan), where=numbers > 0)
 
 
 def assert_level(layers: dict[str, NDArray], surface: HeightMap, level: int) -> None:
