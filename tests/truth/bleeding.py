@@ -8,6 +8,7 @@ Seeds below 1000 are for tuning.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,10 +160,17 @@ def _white(scene: Bleeding) -> float:
 
 def _transfer(shape: tuple[int, ...], na: float, defocus_um: float) -> NDArray[np.float64]:
     """What is left of each frequency: the disc of a defocus, diffraction, and the area of a pixel."""
-    rows, cols = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
-    frequency = np.hypot(rows, cols) / PIXEL_UM
+    frequency, place, rows, cols = _frequencies(shape)
     radius_um = abs(defocus_um) * na / np.sqrt(1 - na**2)
     x = 2 * np.pi * radius_um * frequency
     disc = np.where(x > 1e-6, 2 * j1(np.maximum(x, 1e-6)) / np.maximum(x, 1e-6), 1.0)
     sigma_um = 0.21 * WAVELENGTH_UM / na
-    return disc * np.exp(-2 * (np.pi * sigma_um * frequency) ** 2) * np.sinc(rows) * np.sinc(cols)
+    return (disc * np.exp(-2 * (np.pi * sigma_um * frequency) ** 2))[place] * np.sinc(rows) * np.sinc(cols)
+
+
+@cache
+def _frequencies(shape: tuple[int, ...]) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """The different frequencies in 1/um, which of them each place of a transform has, and those of rows and cols."""
+    rows, cols = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+    frequency, place = np.unique(np.hypot(rows, cols) / PIXEL_UM, return_inverse=True)
+    return frequency, place.reshape(shape[0], -1), rows, cols
