@@ -12,9 +12,9 @@ from itertools import pairwise
 import pytest
 
 from tests.conftest import LONGEST_FIRST
+from tests.support.parsed_modules import MODULES, parsed
 from tests.support.paths import ROOT
 
-MODULES = sorted((ROOT / "wafer_viewer").rglob("*.py"))
 DRAWS_HTML = [m for m in MODULES if {"gui", "charts"} & set(m.relative_to(ROOT).parts)]
 ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init__.py").exists())
 
@@ -29,14 +29,11 @@ MOST_FILES = 23
 MOST_SHARED_NAMES = 10
 DEFINED_ONCE = ("Stage", "Field", "Camera", "Frame", "Gate", "Profile")
 EXPLAINED_ROOMS = ("numerics", "measure", "acquire", "calibrate", "reconstruct")
-DOCUMENTED = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_a_docstring_begins_with_a_verb_or_a_noun(module):
-    nodes = [node for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, DOCUMENTED)]
-    texts = [text for node in nodes if (text := ast.get_docstring(node))]
-    assert not [text for text in texts if text.split()[0].rstrip(",.:") in QUESTIONS]
+    assert not [text for text in parsed(module).docstrings if text.split()[0].rstrip(",.:") in QUESTIONS]
 
 
 @pytest.mark.parametrize("room", EXPLAINED_ROOMS)
@@ -55,8 +52,8 @@ def test_parameters_of_an_algorithm_say_what_they_mean(room):
     structs = [
         node
         for module in MODULES
-        if module.is_relative_to(ROOT / "wafer_viewer" / room)
-        for node in ast.parse(module.read_text()).body
+        if module.is_relative_to(ROOT / "wafer_viewer" / room) and "Parameters" in (text := module.read_text())
+        for node in ast.parse(text).body
         if isinstance(node, ast.ClassDef) and node.name.endswith("Parameters")
     ]
     fields = [
@@ -77,13 +74,10 @@ def is_text(node: ast.stmt) -> bool:
 @pytest.mark.parametrize("module", DRAWS_HTML, ids=lambda p: str(p.relative_to(ROOT)))
 def test_html_is_written_as_markup(module):
     """An f-string with a tag would put a value into the page unescaped."""
-    tree = ast.parse(module.read_text())
-    texts = (node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr))
-    literals = [part.value for text in texts for part in text.values if isinstance(part, ast.Constant)]
+    parts = (part for text in parsed(module).f_strings for part in text.values)
+    literals = [part.value for part in parts if isinstance(part, ast.Constant)]
     assert not [text for text in literals if re.search(r"<[a-zA-Z/!]", text)]
-    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
-    joins = [call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr == "join"]
-    plain = [call for call in joins if isinstance(call.func.value, ast.Constant)]
+    plain = [call for call in parsed(module).joins if isinstance(call.func.value, ast.Constant)]
     assert not [ast.unparse(call) for call in plain if "Markup(" in ast.unparse(call.args[0])], "text joins to text"
 
 
