@@ -25,9 +25,8 @@ def a_field(number: int = 1, x_um: float = 0.0, y_um: float = 0.0) -> Field:
     return Field(number=number, row=0, col=number - 1, x_um=x_um, y_um=y_um, z_start_um=0.0)
 
 
-def _blurred(texture: NDArray, height_um: NDArray, z_um: float) -> NDArray:
-    """Blur by sigma^2 = sharpest^2 + (px per um x defocus)^2, read between ready-made levels of blur."""
-    levels = np.stack([gaussian_filter(texture, np.sqrt(v)) for v in _VARIANCES])
+def _blurred(levels: NDArray, height_um: NDArray, z_um: float) -> NDArray:
+    """Blur by sigma^2 = sharpest^2 + (px per um x defocus)^2, read between levels of blur, one per variance."""
     variance = np.clip(_SHARPEST_PX**2 + (_PX_PER_UM * (z_um - height_um)) ** 2, _VARIANCES[0], _VARIANCES[-1])
     at = np.interp(variance, _VARIANCES, np.arange(len(_VARIANCES)))
     low = np.minimum(at.astype(int), len(_VARIANCES) - 2)
@@ -50,9 +49,9 @@ def make_stack() -> MakeStack:
     ) -> FieldStack:
         rng = np.random.default_rng(seed)
         texture = rng.normal(0, 60, height_um.shape)
+        levels = np.stack([gaussian_filter(texture, np.sqrt(v)) for v in _VARIANCES])
         frames = [
-            110 + contrast * _blurred(texture, height_um, z) + rng.normal(0, noise_counts, height_um.shape)
-            for z in z_um
+            110 + contrast * _blurred(levels, height_um, z) + rng.normal(0, noise_counts, height_um.shape) for z in z_um
         ]
         scale = 1 if dtype is np.uint8 else 16
         images = np.clip(np.rint(np.stack(frames) * scale), 0, 255 * scale).astype(dtype)
