@@ -46,6 +46,14 @@ def no_markup_in_f_strings() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def quick_passwords() -> Iterator[None]:
+    """Hashes of passwords cost next to nothing: what they cost is for tests about that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wafer_viewer.session.core.page_password._LOG2_COST", 4)
+        yield
+
+
 @pytest.fixture(scope="session")
 def patience_s() -> float:
     return PATIENCE_S

@@ -10,6 +10,7 @@ from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.session.core.signing_in import NEW_PASSWORD_VARIABLE, PASSWORD_VARIABLE
 from wafer_viewer.store.records.audit_log import recorded_actions
 
+pytestmark = pytest.mark.usefixtures("quick_passwords")
 ANN, OLGA = "ann's long password", "olga's long password"
 
 

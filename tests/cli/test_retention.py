@@ -124,6 +124,7 @@ def test_held_ones_are_never_touched(prompt, folder):
     assert prompt("tidy", folder, "--days", 30, "--yes")[0] == 0
 
 
+@pytest.mark.usefixtures("quick_passwords")
 def test_where_people_are_listed_an_operator_holds_and_an_engineer_removes(prompt, folder, monkeypatch):
     add_person(folder, "Ann", "engineer", "ann's long password")
     add_person(folder, "Olga", "operator", "olga's long password")

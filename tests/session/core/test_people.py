@@ -21,6 +21,7 @@ from wafer_viewer.session.core.people import NOT_RIGHT, add_person, listed_peopl
 from wafer_viewer.session.state.snapshot import ControlState, Snapshot
 from wafer_viewer.store.records.audit_log import recorded_actions
 
+pytestmark = pytest.mark.usefixtures("quick_passwords")
 ANN, OLGA = "ann's long password", "olga's long password"
 
 

@@ -18,6 +18,7 @@ from wafer_viewer.session.core.people import add_person
 from wafer_viewer.session.planning.job_releases import write_released
 from wafer_viewer.session.session import Session
 
+pytestmark = pytest.mark.usefixtures("quick_passwords")
 ANN, OLGA = "ann's long password", "olga's long password"
 
 
