@@ -55,9 +55,11 @@ def bumped(
     z, tops = np.zeros(x_um.shape), []
     for (row, col), height in np.ndenumerate(heights):
         at = (col - (side - 1) / 2) * pitch_um, ((side - 1) / 2 - row) * pitch_um
-        away2 = (x_um - at[0]) ** 2 + (y_um - at[1]) ** 2
+        rows, cols = (np.flatnonzero(np.abs(um) < FOOT_UM) for um in (y_um[:, 0] - at[1], x_um[0] - at[0]))
+        near = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        away2 = (x_um[near] - at[0]) ** 2 + (y_um[near] - at[1]) ** 2
         cap = np.sqrt(np.maximum(radius_um**2 - away2, 0)) - radius_um + height
-        z = np.where(away2 < FOOT_UM**2, np.maximum(cap, 0), z)
+        z[near] = np.where(away2 < FOOT_UM**2, np.maximum(cap, 0), z[near])
         tops.append((*at, height + tilt * at[0]))
     z = z + tilt * x_um + noise_of(seed, z.shape, noise_um, correlation_px)
     if holes:
