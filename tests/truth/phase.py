@@ -154,11 +154,11 @@ class Transfer:
         frequency = np.hypot(rows, cols) / pixel_um
         s = np.minimum(frequency * WAVELENGTH_UM / na, 2.0)
         self._focused = (1 - 0.69 * s + 0.0076 * s**2 + 0.043 * s**3) * (s < 2) * np.sinc(rows) * np.sinc(cols)
-        self._per_um = 4 * np.pi / WAVELENGTH_UM * (1 - np.sqrt(1 - na**2)) * s * (1 - s / 2)
+        self._per_um, self._place = _different(4 * np.pi / WAVELENGTH_UM * (1 - np.sqrt(1 - na**2)) * s * (1 - s / 2))
 
     def at(self, defocus_um: float) -> Floats:
         x = np.maximum(np.abs(self._per_um * defocus_um), 1e-9)
-        return self._focused * 2 * j1(x) / x
+        return self._focused * 2 * j1(x)[self._place] / x[self._place]
 
 
 class RayTransfer:
@@ -166,14 +166,21 @@ class RayTransfer:
 
     def __init__(self, shape: tuple[int, int], na: float) -> None:
         rows, cols = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
-        self._frequency = np.hypot(rows, cols) / PIXEL_UM
-        diffraction = np.exp(-2 * (np.pi * AIRY_SIGMA * WAVELENGTH_UM / na * self._frequency) ** 2)
+        frequency = np.hypot(rows, cols) / PIXEL_UM
+        self._frequency, self._place = _different(frequency)
+        diffraction = np.exp(-2 * (np.pi * AIRY_SIGMA * WAVELENGTH_UM / na * frequency) ** 2)
         self._focused = diffraction * np.sinc(rows) * np.sinc(cols)
         self._tangent = na / np.sqrt(1 - na**2)
 
     def at(self, defocus_um: float) -> Floats:
         x = np.maximum(2 * np.pi * abs(defocus_um) * self._tangent * self._frequency, 1e-9)
-        return self._focused * 2 * j1(x) / x
+        return self._focused * 2 * j1(x)[self._place] / x[self._place]
+
+
+def _different(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """The different values, and which of them each place has: a function of them is computed once for each."""
+    different, place = np.unique(values, return_inverse=True)
+    return different, place.reshape(values.shape)
 
 
 TRANSFERS = {"waves": Transfer, "rays": RayTransfer}
