@@ -1,4 +1,4 @@
-"""What a worker of a session needs in memory: importing this module loads it, once for all workers forked afterwards.
+"""Load at import what a worker of a session needs in memory, once for all workers that are forked afterwards.
 
 Loading starts no thread, which a fork would lack. What is not compiled yet is left to the workers, which share it.
 """
