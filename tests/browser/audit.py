@@ -17,11 +17,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from playwright.sync_api import Browser, Error, Page, sync_playwright
 
 from tests.browser.screens import FLAGS, hide_viser_warning, remember
 from wafer_viewer.gui.app import Running, start
+from wafer_viewer.gui.scene.surface_tiles import MOST_TILES
 
 SIZES = (1366, 768), (1024, 768), (1280, 720), (1600, 900), (2560, 1440)
 LOOK = (Path(__file__).parent / "audit.js").read_text()
@@ -56,8 +58,6 @@ for (const name of ['drawArrays', 'drawArraysInstanced', 'drawElements', 'drawEl
   WebGL2RenderingContext.prototype[name] = () => {};
 """
 """Nothing is drawn into the scene, which the audit does not look at: a tenth of its processor time went there."""
-SHARP = ""
-"""For pictures: the scene as it is."""
 STEADY = "&fixedDpr=1"
 """viser's own parameter: it would draw coarser on a busy machine, and panels follow the pixels of the scene."""
 PATIENCE_MS = 60_000
@@ -103,8 +103,15 @@ class Group:
 
 
 @contextmanager
-def opened(browser: Browser, group: Group, script: str = SMALL_PICTURE + UNDRAWN) -> Iterator[Visit]:
-    """The page of a group's session."""
+def opened(browser: Browser, group: Group, *, scene: bool = False) -> Iterator[Visit]:
+    """The page of a group's session; without its scene a surface is a tile or two, and none is drawn."""
+    coarse = {} if scene else dict.fromkeys(MOST_TILES, 1)
+    with patch.dict(MOST_TILES, coarse), _visited(browser, group, "" if scene else SMALL_PICTURE + UNDRAWN) as visit:
+        yield visit
+
+
+@contextmanager
+def _visited(browser: Browser, group: Group, script: str) -> Iterator[Visit]:
     session = group.session()
     running = start(session)
     width, height = SIZES[0]
@@ -206,7 +213,7 @@ def look_over(browser: Browser, group: Group) -> dict[str, list[str]]:
 def take_pictures(browser: Browser, group: Group, folder: Path) -> None:
     """A picture of every state of a group, light and dark, in the first of the sizes."""
     folder.mkdir(parents=True, exist_ok=True)
-    with opened(browser, group, SHARP) as visit:
+    with opened(browser, group, scene=True) as visit:
         themes, _ = both_themes(visit.page)
         for n, state in enumerate(group.states):
             try:
