@@ -104,7 +104,7 @@ class Group:
 
 @contextmanager
 def opened(browser: Browser, group: Group, *, scene: bool = False) -> Iterator[Visit]:
-    """The page of a group's session; without its scene a surface is a tile or two, and none is drawn."""
+    """The page of a group's session; without its scene a surface is as coarse as it can be, and not drawn."""
     coarse = {} if scene else dict.fromkeys(MOST_TILES, 1)
     with patch.dict(MOST_TILES, coarse), _visited(browser, group, "" if scene else SMALL_PICTURE + UNDRAWN) as visit:
         yield visit

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from wafer_viewer.cli.app import main
-from wafer_viewer.session.core import network_access, page_password
+from wafer_viewer.session.core import network_access
 from wafer_viewer.session.core.page_password import stored_password
 from wafer_viewer.session.core.page_token import page_token
 
@@ -19,7 +19,7 @@ GOOD = "correct horse battery"
 
 
 @pytest.fixture
-def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., dict[str, Any]]:
+def served(quick_passwords: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., dict[str, Any]]:
     """Run the command with a page that only notes what it gets, and with someone who types these lines."""
 
     def run(*words: str, typed: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -30,7 +30,6 @@ def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., dic
         lines = iter(typed)
         monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: bool(typed)))
         monkeypatch.setattr(network_access.getpass, "getpass", lambda _: next(lines))
-        monkeypatch.setattr(page_password, "_LOG2_COST", 4)
         monkeypatch.setattr("signal.signal", lambda *_: None)
         status = main(["serve", "--data", str(tmp_path), *words])
         return got | {"status": status}

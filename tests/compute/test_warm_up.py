@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from concurrent.futures import Future
+
+import pytest
 
 from wafer_viewer.compute.compute_host import Host
 from wafer_viewer.compute.messages import ComputeWarm, WarmUp
+from wafer_viewer.compute.worker_environment import FORKS, WORKER_ENVIRONMENT
+from wafer_viewer.session.surface import worker_tasks
 
 
 class Workers:
@@ -53,3 +60,26 @@ def test_a_single_worker_compiles_all_by_itself():
     workers.submitted[0][-1].set_result(None)
     assert workers.asked() == [(print, "a"), (str, "a")]
     assert told == [ComputeWarm()]
+
+
+LOADED = f"""
+import os, sys
+import {worker_tasks.WARM_UP.loaded}
+from numba.core.dispatcher import Dispatcher
+
+modules = [module for name, module in sys.modules.items() if name.startswith("wafer_viewer.")]
+kernels = [kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+print(len(os.listdir("/proc/self/task")), sum(bool(kernel.overloads) for kernel in kernels))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FORKS, reason="workers begin with nothing here")
+def test_what_workers_are_forks_of_has_the_kernels_and_no_thread_that_they_would_lack():
+    worker_tasks.warm_up_heights()  # what is not compiled is not loaded either
+    environment = os.environ | {name: str(value) for name, value in WORKER_ENVIRONMENT.items()}
+    done = subprocess.run([sys.executable, "-c", LOADED], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    threads, kernels = map(int, done.stdout.split())
+    assert threads == 1
+    assert kernels > 20

@@ -19,7 +19,6 @@ from websockets.exceptions import InvalidStatus
 from wafer_viewer.gui.security.access_guard import AccessGuard
 from wafer_viewer.gui.security.server import close_server, open_server
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.session.core import page_password as passwords
 from wafer_viewer.session.core.attempt_limit import MOST_OF_ALL, MOST_OF_ONE, WINDOW_S, AttemptLimit
 from wafer_viewer.session.core.network_access import NetworkAccess
 from wafer_viewer.session.core.page_certificate import page_certificate
@@ -31,11 +30,9 @@ Server = tuple[viser.ViserServer, AccessGuard]
 
 
 @pytest.fixture(scope="module")
-def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NetworkAccess]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(passwords, "_LOG2_COST", 4)
-        certificate = page_certificate(tmp_path_factory.mktemp("data"), HOST, None, None)
-        yield NetworkAccess(certificate, PasswordHash.of(GOOD))
+def network(quick_passwords: None, tmp_path_factory: pytest.TempPathFactory) -> NetworkAccess:
+    certificate = page_certificate(tmp_path_factory.mktemp("data"), HOST, None, None)
+    return NetworkAccess(certificate, PasswordHash.of(GOOD))
 
 
 @pytest.fixture

@@ -88,9 +88,8 @@ def lead_everywhere(task, items, *, crew, progress=silent, should_stop=never):
 
 
 def began_with(module):
-    """Process, whether a module was there before the first task, niceness, and what the environment says of memory."""
-    return os.getpid(), _BEFORE.setdefault(module, module in sys.modules), os.nice(0), said_to_the_process(_TRIM)
+    """Process, whether it has a module that no task imports, niceness, and what the environment says of memory."""
+    return os.getpid(), module in sys.modules, os.nice(0), said_to_the_process(_TRIM)
 
 
-_BEFORE: dict[str, bool] = {}
 _TRIM = "MALLOC_TRIM_THRESHOLD_"
