@@ -209,6 +209,11 @@ class CorrectedPeaks:
         return self.gated.peaks.z_um
 
     @property
+    def found_along(self) -> NDArray[np.bool_]:
+        """Mask of the heights that were searched again, along a wall."""
+        return self.z_um != self.searched_um
+
+    @property
     def measured_um(self) -> NDArray[np.float32]:
         """Heights of the measured pixels, NaN elsewhere."""
         return np.where(self.origin == Origin.MEASURED, self.z_um, np.float32(np.nan))
@@ -251,7 +256,13 @@ def clean_heights(field: PreparedField, corrected: CorrectedPeaks) -> CleanedHei
     if edges is not None:
         bleeding_um = np.where(origin == Origin.BLEEDING_EDGE, corrected.searched_um, np.float32(np.nan))
     found = clean(
-        corrected.measured_um, field.stack.pixel_um, tuned.recipe, tuned.resolution_um, side_is_known, bleeding_um
+        corrected.measured_um,
+        field.stack.pixel_um,
+        tuned.recipe,
+        tuned.resolution_um,
+        side_is_known,
+        bleeding_um,
+        corrected.found_along,
     )
     origin = np.where(found.outlier, np.uint8(Origin.OUTLIER), origin)
     origin = np.where(found.step_edge, np.uint8(Origin.STEP_EDGE), origin)
@@ -318,7 +329,7 @@ def uncertainty(
         return None
     noise_um = corrected.gated.peaks.noise_um
     if corrected.edges is not None:
-        noise_um = np.where(corrected.z_um == corrected.searched_um, noise_um, np.float32(np.nan))
+        noise_um = np.where(corrected.found_along, np.float32(np.nan), noise_um)
     passes = focus_measures()[search.measure].passes
     between_um = interpolation_u_um(recipe.peak, field.frames.step_um, float(recipe.focus_width_um))
     u_um = uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)

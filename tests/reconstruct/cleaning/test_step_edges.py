@@ -118,6 +118,17 @@ def test_uneven_heights_count_where_many_others_support_them() -> None:
     assert np.isfinite(found[6.0].raw_um[10:150, 10:130]).all()
 
 
+def test_beside_a_wall_uneven_heights_count_only_where_the_focus_along_it_gave_them() -> None:
+    z_um = islands(6.0)
+    settled = settle_cleaning([z_um], Recipe(window=9, focus_width_um=10.0), 4.0)
+    side_is_known, found_along = np.ones(z_um.shape, np.bool_), np.zeros(z_um.shape, np.bool_)
+    found_along[:, 172:] = True
+    found = clean(z_um, 0.5, settled, 4.0, side_is_known, found_along=found_along)
+    assert found.outlier[24:40, 164:172].all()
+    assert np.isfinite(found.raw_um[20:44, 172:184]).all()
+    assert np.isfinite(found.raw_um[10:150, 10:130]).all()
+
+
 def test_heights_next_to_a_step_belong_to_their_side(stair: Taken) -> None:
     guarded, open_ = (reconstruct(stair.stack, Recipe(window=9, edges=edges)) for edges in ("rims", "none"))
     wrong = [int((np.abs(h.z_raw_um - stair.scene.truth_um) > 4).sum()) for h in (guarded, open_)]

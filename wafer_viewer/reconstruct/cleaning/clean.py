@@ -17,8 +17,8 @@ The light of a defocused bright line ends in a disc, whose rim looks sharp every
 away from the line as steeply as the aperture is wide. That is a jump within the window too.
 
 Unsupported heights: false ones that pass every other test are uneven, at the margin of what is measured, on small
-islands. None of this alone tells them apart; a height counts as an outlier where the product is large. Beside walls
-whose sides are known, heights have the support of their side.
+islands. None of this alone tells them apart; a height counts as an outlier where the product is large. Heights found by
+the focus along a wall are exempt: they lie at the margin because the wall does.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ class SupportParameters:
         Largest smallness.
     """
 
-    most_doubt: float = 0.4
+    most_doubt: float = 0.2
     island_windows: float = 4.0
     smallest: float = 2.0
 
@@ -323,12 +323,14 @@ def clean(
     resolution_um: float,
     side_is_known: NDArray[np.bool_] | None = None,
     bleeding_um: Map | None = None,
+    found_along: NDArray[np.bool_] | None = None,
 ) -> Cleaned:
     """Clean a gated map, NaN where unmeasured, by a settled recipe.
 
     resolution_um: axial resolution of the optics, the reference for steps of the surface; side_is_known: mask of pixels
     with a known wall side, None if step edges are not requested; bleeding_um: heights rejected because light bled
-    there, NaN elsewhere: measured heights that continue from them also lie next to a jump.
+    there, NaN elsewhere: measured heights that continue from them also lie next to a jump; found_along: mask of the
+    heights that the focus along a wall gave, which need no support by others.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
@@ -341,7 +343,8 @@ def clean(
             outlier |= _islands(raw, sizes, int(recipe.window)) & ~side_is_known
             raw[outlier] = np.nan
         if recipe.outliers.mode == "lattice":
-            outlier |= _unsupported(raw, sizes, pixel_um, recipe, resolution_um) & ~side_is_known
+            unsupported = _unsupported(raw, sizes, pixel_um, recipe, resolution_um)
+            outlier |= unsupported if found_along is None else unsupported & ~found_along
             raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
