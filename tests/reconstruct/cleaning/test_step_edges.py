@@ -118,6 +118,14 @@ def test_uneven_heights_count_where_many_others_support_them() -> None:
     assert np.isfinite(found[6.0].raw_um[10:150, 10:130]).all()
 
 
+def test_of_an_island_without_support_no_crumb_is_left() -> None:
+    z_um = islands(6.0)
+    z_um[26:38, 166:178] = 0.0
+    settled = settle_cleaning([z_um], Recipe(window=9, focus_width_um=10.0), 4.0)
+    found = clean(z_um, 0.5, settled, 4.0, np.zeros(z_um.shape, np.bool_))
+    assert np.isnan(found.raw_um[20:44, 160:184]).all()
+
+
 def test_beside_a_wall_uneven_heights_count_only_where_the_focus_along_it_gave_them() -> None:
     z_um = islands(6.0)
     settled = settle_cleaning([z_um], Recipe(window=9, focus_width_um=10.0), 4.0)

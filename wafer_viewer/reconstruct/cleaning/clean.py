@@ -18,7 +18,8 @@ away from the line as steeply as the aperture is wide. That is a jump within the
 
 Unsupported heights: false ones that pass every other test are uneven, at the margin of what is measured, on small
 islands. None of this alone tells them apart; a height counts as an outlier where the product is large. Heights found by
-the focus along a wall are exempt: they lie at the margin because the wall does.
+the focus along a wall are exempt: they lie at the margin because the wall does. What is then left of an island must
+still be as large as one.
 """
 
 from __future__ import annotations
@@ -338,13 +339,16 @@ def clean(
     if side_is_known is not None:
         step_edge = _step_edges(raw, side_is_known, bleeding_um, pixel_um, recipe, resolution_um)
         raw[step_edge] = np.nan
-        sizes = component_sizes(raw, OUTLIER_FLOOR_STEPS * resolution_um)
+        tolerance_um = OUTLIER_FLOOR_STEPS * resolution_um
+        sizes = component_sizes(raw, tolerance_um)
         if step_edge.any():  # a sliver of a slope caused by bleeding light may look flat by itself
             outlier |= _islands(raw, sizes, int(recipe.window)) & ~side_is_known
             raw[outlier] = np.nan
         if recipe.outliers.mode == "lattice":
-            unsupported = _unsupported(raw, sizes, pixel_um, recipe, resolution_um)
-            outlier |= unsupported if found_along is None else unsupported & ~found_along
+            exempt = np.zeros(z_um.shape, np.bool_) if found_along is None else found_along
+            outlier |= _unsupported(raw, sizes, pixel_um, recipe, resolution_um) & ~exempt
+            raw[outlier] = np.nan
+            outlier |= _islands(raw, component_sizes(raw, tolerance_um), int(recipe.window)) & ~exempt
             raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
