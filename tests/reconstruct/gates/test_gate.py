@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.truth.unseen import drawn_scene
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import NoiseScores, Search, noise_scores, search_field
-from wafer_viewer.reconstruct.gates.gate import Gate, auto_min_confidence, checks, gate_of, origins
+from wafer_viewer.reconstruct.gates.gate import MAX_DIP_PER_POWER, Gate, auto_min_confidence, checks, gate_of, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -72,6 +73,36 @@ def test_two_equal_peaks_are_ambiguous(make_stack: MakeStack) -> None:
     assert _share(height.origin, Origin.AMBIGUOUS) > 0.5
 
 
+@pytest.mark.parametrize(("apart_um", "width_um", "placed"), [(7.0, 6.0, False), (6.0, "auto", True)])
+def test_of_two_tops_closer_than_rivals_only_the_middle_counts(
+    make_stack: MakeStack, apart_um: float, width_um: float | str, placed: bool
+) -> None:
+    """As of curved grains that shine: the surface is between the tops, and a narrow window finds either of them."""
+    z_um, truth = np.arange(0.0, 124.0, 1.0), np.full((96, 128), 60.0)
+    low, high = (make_stack(truth + side * apart_um / 2, z_um, seed=2 + side) for side in (-1, 1))
+    both = dataclasses.replace(low, images=((low.images.astype(float) + high.images) / 2).astype(np.uint8))
+    one, two = (reconstruct(stack, Recipe(focus_width_um=width_um)) for stack in (low, both))
+    assert _share(one.origin, Origin.MEASURED) > 0.95
+    right = np.abs(two.z_raw_um - truth) < 0.25 * apart_um
+    assert np.mean(np.isfinite(two.z_raw_um) & ~right) < 0.02
+    assert right.mean() > 0.95 if placed else _share(two.origin, Origin.AMBIGUOUS) > 0.8
+
+
+def test_noise_makes_no_second_top(make_stack: MakeStack) -> None:
+    z_um = np.arange(0.0, 124.0, 2.0)
+    stack = make_stack(np.full((96, 128), 60.0), z_um, noise_counts=4.0)
+    peaks = search_field(prepare_field(stack).frames, Search("log_laplacian", 9, "centred", 12), threads=1)
+    assert np.mean(peaks.dip > 3 * MAX_DIP_PER_POWER) < 0.01
+
+
+@pytest.mark.parametrize("seed", [461, 5_000_163])
+def test_grains_that_shine_have_few_false_heights(seed: int) -> None:
+    scene = drawn_scene(seed)
+    z_um = reconstruct(scene.stack).to_measure()
+    off_um = np.abs(z_um - scene.truth_um)[np.isfinite(z_um) & np.isfinite(scene.truth_um)]
+    assert np.mean(off_um > scene.limit_um) < 0.001
+
+
 def test_ten_frames_are_enough(make_stack: MakeStack) -> None:
     rows, cols = np.indices((96, 128))
     truth = 14 + 0.04 * cols + 0.03 * rows
@@ -114,7 +145,8 @@ def test_noise_passes_a_gate_once_in_a_hundred_pixels(measure: str, window: int,
 def a_peak(**changes: float) -> Peaks:
     """One pixel that passes every gate, but for the changes."""
     peaks = Peaks.empty((1, 1), np.dtype(np.uint8))
-    for name, value in {"z_um": 40, "lead": 3, "fall": 3, "contrast": 3, "at_end": 0, "clipped": 0, **changes}.items():
+    passing = {"z_um": 40, "lead": 3, "fall": 3, "contrast": 3, "dip": 0, "at_end": 0, "clipped": 0}
+    for name, value in {**passing, **changes}.items():
         getattr(peaks, name)[:] = value
     return peaks
 
@@ -126,6 +158,8 @@ def a_peak(**changes: float) -> Peaks:
         ({"z_um": 47}, Origin.WINDOWS_DISAGREE),
         ({"lead": 0.1, "z_um": 47}, Origin.AMBIGUOUS),
         ({"fall": 0.1}, Origin.AMBIGUOUS),
+        ({"dip": 0.7}, Origin.AMBIGUOUS),
+        ({"dip": 0.6}, Origin.MEASURED),
         ({"fall": 1.1, "contrast": 3.0}, Origin.AMBIGUOUS),
         ({"fall": 1.3, "contrast": 3.0}, Origin.MEASURED),
         ({"at_end": 1, "lead": 0.1}, Origin.END_OF_RANGE),
@@ -134,7 +168,7 @@ def a_peak(**changes: float) -> Peaks:
     ],
 )
 def test_the_reason_that_explains_most_is_reported(changes: dict[str, float], reason: Origin) -> None:
-    gate = Gate(0.5, 0.5, 0.5, 0.3, 9, window_tolerance_um=6.0, min_fall_share=0.4)
+    gate = Gate(0.5, 0.5, 0.5, 0.3, 9, window_tolerance_um=6.0, min_fall_share=0.4, max_dip=0.65)
     peaks, wide_um = a_peak(**changes), np.full((1, 1), 40.0, np.float32)
     assert origins(peaks, gate, 60, wide_um)[0, 0] == reason
     failed = [check.origin for check in checks(peaks, gate, 60, wide_um) if not check.passed[0, 0]]
@@ -144,7 +178,7 @@ def test_the_reason_that_explains_most_is_reported(changes: dict[str, float], re
 def test_a_gate_that_is_off_lets_everything_pass() -> None:
     noise = NoiseScores(0.2, 0.4, 0.6)
     gate = gate_of(noise, 0.0, 1.0, 9, window_tolerance_um=6.0)
-    peaks = a_peak(lead=0, fall=-1, contrast=0, z_um=90)
+    peaks = a_peak(lead=0, fall=-1, contrast=0, dip=2, z_um=90)
     requested = checks(peaks, gate, 60, np.full((1, 1), 40.0, np.float32))
     assert all(check.passed.all() for check in requested)
     assert [check.name for check in requested if not np.isfinite(check.limit)] == [
@@ -152,6 +186,7 @@ def test_a_gate_that_is_off_lets_everything_pass() -> None:
         "flanks",
         "width",
         "rival",
+        "tops",
         "windows",
     ]
 

@@ -90,14 +90,21 @@ class PeakInterpolation(NamedTuple):
 class InterpolationScratch(NamedTuple):
     """Scratch rows for peak interpolation: rival and lowest level, and z and log2 of focus at three frames.
 
-    floor: log2 of the focus where the curve is lowest. bits, table: the number of fraction bits of a level, and their
-    contribution to log2. modulation: focus^0.4 of every level. mean_level, leverage_um: log2 of the focus in the window
-    of a centred peak, and standard deviation of its height per octave of noise of the levels, NaN for other peaks.
+    turn, turn_at: highest or lowest level between the peak and a frame near it, and its frame; dip_top, dip_low,
+    dip_at: both ends of the deepest dip there, and the frame of the upper. floor: log2 of the focus where the curve is
+    lowest. bits, table: the number of fraction bits of a level, and their contribution to log2. modulation: focus^0.4
+    of every level. mean_level, leverage_um: log2 of the focus in the window of a centred peak, and standard deviation
+    of its height per octave of noise of the levels.
     """
 
     bits: int
     rival: UInt16s
     least: UInt16s
+    turn: UInt16s
+    turn_at: UInt16s
+    dip_top: UInt16s
+    dip_low: UInt16s
+    dip_at: UInt16s
     below: Float64s
     z: Float64s
     above: Float64s
@@ -113,7 +120,7 @@ class InterpolationScratch(NamedTuple):
     @classmethod
     def make(cls, cols: int, table: Float32s) -> InterpolationScratch:
         """Allocate rows of `cols` pixels for levels whose lower bits `table` decodes."""
-        shorts = (aligned((cols,), np.uint16) for _ in range(2))
+        shorts = (aligned((cols,), np.uint16) for _ in range(7))
         reals = (aligned((cols,), np.float64) for _ in range(7))
         return cls(
             table.size.bit_length() - 1,
@@ -144,7 +151,7 @@ def place(
 @lean_part
 def place_row(how: PeakInterpolation, spots: InterpolationScratch, z_um: Float32s) -> None:
     """Apply `place` to a row of pixels, in loops without branches."""
-    below, z, above, left, top, right, floor = spots[3:10]
+    below, z, above, left, top, right, floor = spots[8:15]
     if how.estimator == _ARGMAX:
         for x in range(z_um.size):
             z_um[x] = z[x]
@@ -230,6 +237,14 @@ _NEAR_TOPS = 2
 """Averages above and below the peak that may replace the one at the peak itself."""
 
 
+_DIP_SIGMAS = np.float32(3.0)
+"""Depth of the dips that noise makes, in standard deviations of a level: of several frames it is the deepest."""
+
+
+_MIDDLE_SHARE = np.float32(1 / 6)
+"""Largest distance of a height from the middle of two tops, as a share of theirs, that is not on either of them."""
+
+
 class FocusCurves(NamedTuple):
     """Focus volume of a block, levels [k, row, col], with the best level of each pixel and its frame."""
 
@@ -276,6 +291,7 @@ class PeakScores(NamedTuple):
     lead: Float32s
     fall: Float32s
     contrast: Float32s
+    dip: Float32s
     all_in_focus: Greys
 
 
@@ -285,9 +301,11 @@ class Peaks:
 
     z_um: float32; noise_um: float32, standard uncertainty of z_um due to the noise of the camera, NaN where it is not
     known; lead, fall and contrast: float32, in powers of two of the focus measure: height of the peak above its
-    highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames in
-    which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k, row / 4, col / 4], the levels
-    of the focus volume averaged over 4 x 4 pixels, or without frames where they are not requested.
+    highest rival, above its own flanks, and above the lowest frame; dip: float32, depth of the dip to another top that
+    is nearer than any rival, less what noise makes of it, 0 for peaks whose noise is not known; at_end: bool; clipped:
+    uint16, number of frames in which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k,
+    row / 4, col / 4], the levels of the focus volume averaged over 4 x 4 pixels, or without frames where they are not
+    requested.
     """
 
     z_um: NDArray[np.float32]
@@ -295,6 +313,7 @@ class Peaks:
     lead: NDArray[np.float32]
     fall: NDArray[np.float32]
     contrast: NDArray[np.float32]
+    dip: NDArray[np.float32]
     at_end: NDArray[np.bool_]
     clipped: NDArray[np.uint16]
     all_in_focus: Image
@@ -303,15 +322,15 @@ class Peaks:
     @classmethod
     def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any], n_coarse: int = 0) -> Peaks:
         """Allocate the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
-        z_um, noise_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(5))
+        scores = (np.empty(shape, np.float32) for _ in range(6))
         coarse = np.empty((n_coarse, -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)), np.uint16)
         at_end, clipped, all_in_focus = (np.empty(shape, kind) for kind in (np.bool_, np.uint16, dtype))
-        return cls(z_um, noise_um, lead, fall, contrast, at_end, clipped, all_in_focus, coarse)
+        return cls(*scores, at_end, clipped, all_in_focus, coarse)
 
     @property
     def scores(self) -> PeakScores:
         """Arrays that `describe` fills."""
-        return PeakScores(self.z_um, self.noise_um, self.lead, self.fall, self.contrast, self.all_in_focus)
+        return PeakScores(self.z_um, self.noise_um, self.lead, self.fall, self.contrast, self.dip, self.all_in_focus)
 
     @property
     def confidence(self) -> NDArray[np.float32]:
@@ -374,8 +393,8 @@ def _describe(
         else:
             gather(curves, y, z_um, how, spots)
         place_row(how, spots, out.z_um[y])
-        spots.leverage_um[:] = np.nan
-        _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y])
+        out.noise_um[y, :] = np.nan
+        out.dip[y, :] = 0
 
 
 @lean_kernel
@@ -394,7 +413,8 @@ def _describe_centred(
         _score_row(curves, source, y, gap, spots, out)
         best, mean_level, leverage_um = curves.peak[y], spots.mean_level, spots.leverage_um
         centre_row(curves.levels, best, y, z_um, window, spots.modulation, out.z_um[y], mean_level, leverage_um)
-        _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y])
+        _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y], out.dip[y])
+        _accept_middles(z_um, best, spots.dip_at, out.z_um[y], out.dip[y])
 
 
 @inlined_part
@@ -402,7 +422,7 @@ def _score_row(
     curves: FocusCurves, source: StackSource, y: Int, gap: Int, spots: InterpolationScratch, out: PeakScores
 ) -> None:
     """Compute what does not depend on the kind of the peak: scores and all-in-focus grey of row y."""
-    _find_rivals(curves.levels, y, gap, curves.peak[y], spots.rival, spots.least)
+    _find_rivals(curves.levels, y, gap, curves.best[y], curves.peak[y], spots)
     _score(curves, y, gap, spots, out)
     row = source.top + y
     for x in range(curves.peak.shape[1]):
@@ -410,29 +430,40 @@ def _score_row(
 
 
 @lean_part
-def _propagate_noise(noise: LevelNoise, grey: Greys, spots: InterpolationScratch, noise_um: Float32s) -> None:
-    """Compute the standard deviation of a row of heights from that of the levels in their windows."""
+def _propagate_noise(
+    noise: LevelNoise, grey: Greys, spots: InterpolationScratch, noise_um: Float32s, dip: Float32s
+) -> None:
+    """Compute the standard deviation of a row of heights from that of the levels, and take theirs from the dips."""
     f, u = np.float32, np.uint32  # an unsigned index is not tested for counting from the end
     last, steps, zero, half = f(noise.octaves.size - 1), f(NOISE_STEPS), f(0), f(0.5)
     mean_level, leverage_um, octaves, of_noise = spots.mean_level, spots.leverage_um, noise.octaves, noise.of_noise
     for x in range(noise_um.size):
         over = (mean_level[x] - of_noise[u(grey[x])]) * steps + half
-        noise_um[x] = leverage_um[x] * octaves[u(np.int32(min(max(over, zero), last)))]
+        of_level = octaves[u(np.int32(min(max(over, zero), last)))]
+        noise_um[x] = leverage_um[x] * of_level
+        dip[x] -= _DIP_SIGMAS * of_level
 
 
 @inlined_part
-def _find_rivals(levels: UInt16s, y: Int, gap: Int, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
-    """Find the highest other local maximum at least `gap` frames from the peak, and the lowest level.
+def _find_rivals(levels: UInt16s, y: Int, gap: Int, best: UInt16s, peak: UInt16s, spots: InterpolationScratch) -> None:
+    """Find the highest other local maximum at least `gap` frames from the peak, the lowest level, and dips nearer by.
 
     Without a rival the lowest level is used.
     """
-    last = levels.shape[0] - 1
+    last, rival, least = levels.shape[0] - 1, spots.rival, spots.least
     rival[:] = 0
     least[:] = 65535
+    for row in (spots.turn, spots.turn_at, spots.dip_top, spots.dip_low, spots.dip_at):
+        row[:] = 0
+    first, end = last + 1, -1
+    for x in range(peak.size):
+        first, end = min(first, np.int64(peak[x]) - gap), max(end, np.int64(peak[x]) + gap)
     for k in range(last + 1):
         prefetch(levels[min(k + _AHEAD, last), y])
         before, level, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
         _rival_row(before, level, after, k, gap, peak, rival, least)
+        if first < k < end:
+            _dip_row(level, best, k, gap, peak, spots)
     for x in range(rival.size):
         a, b = rival[x], least[x]
         rival[x] = a if a > b else b
@@ -457,6 +488,38 @@ def _rival_row(
         higher = far & (q >= before[x]) & (q >= after[x]) & (q > old)
         rival[x] = q if higher else old
         least[x] = q if q < low else low
+
+
+@lean_part
+def _dip_row(level: UInt16s, best: UInt16s, k: Int, gap: Int, peak: UInt16s, spots: InterpolationScratch) -> None:
+    """Follow the curves nearer to their peaks than a rival: how far they fall again before, and rise again behind.
+
+    What is not half as high as the peak is no top: it may be noise on a flank.
+    """
+    turn, turn_at, dip_top, dip_low, dip_at = spots.turn, spots.turn_at, spots.dip_top, spots.dip_low, spots.dip_at
+    u = np.uint16
+    first, width, here, octave = u(k - gap + 1), u(2 * gap - 1), u(k), u(1 << spots.bits)
+    for x in range(level.size):
+        q, old, top, low = level[x], turn[x], dip_top[x], dip_low[x]
+        near, behind = u(peak[x] - first) < width, peak[x] < here
+        extreme = min(q, old) if behind else max(q, old)
+        above, below = q if behind else extreme, extreme if behind else q
+        high = u(best[x] - above) < octave
+        deeper = near & high & (u(above - below) > u(top - low))
+        at = here if extreme == q else turn_at[x]
+        turn[x], turn_at[x] = extreme if near else old, at if near else turn_at[x]
+        dip_top[x], dip_low[x] = above if deeper else top, below if deeper else low
+        dip_at[x] = (here if behind else at) if deeper else dip_at[x]
+
+
+@lean_part
+def _accept_middles(z_um: Float64s, peak: UInt16s, dip_at: UInt16s, found_um: Float32s, dip: Float32s) -> None:
+    """Take the dip of a row of heights for none where a wide window found the middle of both tops."""
+    for x in range(found_um.size):
+        one_um, other_um = z_um[peak[x]], z_um[dip_at[x]]
+        off_um = abs(found_um[x] - np.float32(0.5 * (one_um + other_um)))
+        is_middle = off_um < _MIDDLE_SHARE * abs(np.float32(other_um - one_um))
+        dip[x] = np.float32(0) if is_middle else dip[x]
 
 
 @lean_part
@@ -510,7 +573,7 @@ def _blended(levels: UInt16s, k: Int, y: Int, x: Int, s: Int, bits: Int, table: 
 
 @lean_part
 def _score(curves: FocusCurves, y: Int, gap: Int, spots: InterpolationScratch, out: PeakScores) -> None:
-    """Compute lead, fall and contrast of the peaks of row y: against rivals, flanks and the lowest frame."""
+    """Compute lead, fall, contrast and dip of the peaks of row y."""
     levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
     for x in range(curves.peak.shape[1]):
@@ -520,6 +583,7 @@ def _score(curves: FocusCurves, y: Int, gap: Int, spots: InterpolationScratch, o
         out.lead[y, x] = top - _log2(spots.rival[x], bits, table)
         out.contrast[y, x] = top - _log2(spots.least[x], bits, table)
         out.fall[y, x] = top - _log2(sides, bits, table)
+        out.dip[y, x] = _log2(spots.dip_top[x], bits, table) - _log2(spots.dip_low[x], bits, table)
 
 
 @inline_kernel
