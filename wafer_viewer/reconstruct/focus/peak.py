@@ -241,6 +241,10 @@ _DIP_SIGMAS = np.float32(3.0)
 """Depth of the dips that noise makes, in standard deviations of a level: of several frames it is the deepest."""
 
 
+_LEAST_APART = 3
+"""Smallest distance of two tops in frames: the peak between tops two frames apart is off by a frame at most."""
+
+
 _MIDDLE_SHARE = np.float32(1 / 6)
 """Largest distance of a height from the middle of two tops, as a share of theirs, that is not on either of them."""
 
@@ -494,22 +498,27 @@ def _rival_row(
 def _dip_row(level: UInt16s, best: UInt16s, k: Int, gap: Int, peak: UInt16s, spots: InterpolationScratch) -> None:
     """Follow the curves nearer to their peaks than a rival: how far they fall again before, and rise again behind.
 
-    What is not half as high as the peak is no top: it may be noise on a flank.
+    What is not half as high as the peak is no top: it may be noise on a flank. Tops nearer to each other than half the
+    gap, a focus width, or than `_LEAST_APART` frames misplace a height by no more than is usual.
     """
     turn, turn_at, dip_top, dip_low, dip_at = spots.turn, spots.turn_at, spots.dip_top, spots.dip_low, spots.dip_at
     u = np.uint16
     first, width, here, octave = u(k - gap + 1), u(2 * gap - 1), u(k), u(1 << spots.bits)
+    apart = u(max(_LEAST_APART, (gap + 1) // 2))
     for x in range(level.size):
-        q, old, top, low = level[x], turn[x], dip_top[x], dip_low[x]
-        near, behind = u(peak[x] - first) < width, peak[x] < here
-        extreme = min(q, old) if behind else max(q, old)
-        above, below = q if behind else extreme, extreme if behind else q
-        high = u(best[x] - above) < octave
-        deeper = near & high & (u(above - below) > u(top - low))
-        at = here if extreme == q else turn_at[x]
-        turn[x], turn_at[x] = extreme if near else old, at if near else turn_at[x]
+        q, old, top, low, at = level[x], turn[x], dip_top[x], dip_low[x], peak[x]
+        near, behind = u(at - first) < width, at < here
+        lower, higher = min(q, old), max(q, old)
+        above, below = q if behind else higher, lower if behind else q
+        is_apart = u(here - at if behind else at - here) >= apart
+        counts = near & (is_apart | (not behind)) & (u(best[x] - above) < octave)
+        deeper = counts & (u(above - below) > u(top - low))
+        kept = near & (is_apart | behind | (at == here))
+        extreme = lower if behind else higher
         dip_top[x], dip_low[x] = above if deeper else top, below if deeper else low
-        dip_at[x] = (here if behind else at) if deeper else dip_at[x]
+        dip_at[x] = (here if behind else turn_at[x]) if deeper else dip_at[x]
+        turn_at[x] = here if kept & (extreme == q) else turn_at[x]
+        turn[x] = extreme if kept else old
 
 
 @lean_part
