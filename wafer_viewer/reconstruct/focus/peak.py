@@ -326,10 +326,10 @@ class Peaks:
     @classmethod
     def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any], n_coarse: int = 0) -> Peaks:
         """Allocate the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
-        scores = (np.empty(shape, np.float32) for _ in range(6))
+        z_um, noise_um, lead, fall, contrast, dip = (np.empty(shape, np.float32) for _ in range(6))
         coarse = np.empty((n_coarse, -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)), np.uint16)
         at_end, clipped, all_in_focus = (np.empty(shape, kind) for kind in (np.bool_, np.uint16, dtype))
-        return cls(*scores, at_end, clipped, all_in_focus, coarse)
+        return cls(z_um, noise_um, lead, fall, contrast, dip, at_end, clipped, all_in_focus, coarse)
 
     @property
     def scores(self) -> PeakScores:
