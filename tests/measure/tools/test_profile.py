@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.support.surfaces import calibration, coordinates, surface_of
@@ -23,6 +23,7 @@ INSIDE = st.tuples(st.floats(-28, 28), st.floats(-18, 18))
 
 
 @given(start=INSIDE, end=INSIDE, width_um=st.floats(0, 3))
+@example(start=(1.2e-07, -1.0), end=(-1.0, -1.0), width_um=0.0)
 @settings(max_examples=50)
 def test_a_plane_is_cut_exactly_along_any_line(start, end, width_um):
     if np.hypot(end[0] - start[0], end[1] - start[1]) < 1:
@@ -35,7 +36,7 @@ def test_a_plane_is_cut_exactly_along_any_line(start, end, width_um):
     assert (curve.x_um[-1], curve.y_um[-1]) == pytest.approx(end)
     assert found.length_um == pytest.approx(curve.distance_um[-1])
     assert found.measured_fraction == 1.0
-    assert np.diff(curve.distance_um).max() <= 0.5 + 1e-9
+    assert np.diff(curve.distance_um).max() <= 0.5 + 1e-6  # a line a millionth of a pixel too long takes no more points
 
 
 def test_a_line_begins_at_its_first_point():

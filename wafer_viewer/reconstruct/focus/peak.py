@@ -235,16 +235,10 @@ _NO_FLOOR = -64.0
 """Noise floor of a curve that does not reach it, as a logarithm to base 2."""
 _NEAR_TOPS = 2
 """Averages above and below the peak that may replace the one at the peak itself."""
-
-
 _DIP_SIGMAS = np.float32(3.0)
 """Depth of the dips that noise makes, in standard deviations of a level: of several frames it is the deepest."""
-
-
 _LEAST_APART = 3
 """Smallest distance of two tops in frames: the peak between tops two frames apart is off by a frame at most."""
-
-
 _MIDDLE_SHARE = np.float32(1 / 6)
 """Largest distance of a height from the middle of two tops, as a share of theirs, that is not on either of them."""
 
