@@ -153,7 +153,7 @@ def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     length_um = length_um_of(line)
     # A line between pixel centres contains exactly these pixels, whatever the rounding of its length.
-    share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-6) + 1))
+    share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-9) + 1))
     x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
     return ProfileCurve(distance_um=share * length_um, z_um=np.full(len(share), np.nan), x_um=x_um, y_um=y_um)
 

@@ -368,7 +368,7 @@ def describe(
     the compiler of one only.
     """
     if window is None:
-        _describe(curves, source, z_um, how, noise, spots, out)
+        _describe(curves, source, z_um, how, spots, out)
     else:
         _describe_centred(curves, source, z_um, how.gap, window, noise, spots, out)
 
@@ -379,7 +379,6 @@ def _describe(
     source: StackSource,
     z_um: Float64s,
     how: PeakInterpolation,
-    noise: LevelNoise,
     spots: InterpolationScratch,
     out: PeakScores,
 ) -> None:
