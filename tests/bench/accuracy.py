@@ -45,7 +45,7 @@ from wafer_viewer.model.spec import replace as changed  # noqa: E402
 from wafer_viewer.model.surface.focus_measures import focus_measures  # noqa: E402
 from wafer_viewer.model.surface.recipe import Recipe  # noqa: E402
 from wafer_viewer.reconstruct.field_pipeline import reconstruct  # noqa: E402
-from wafer_viewer.reconstruct.focus.peak import PEAKS  # noqa: E402
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS  # noqa: E402
 
 FALSE_UM = 4.0
 STAIR = Layout("stair", PILLBOX, 21, scene="stair")

@@ -30,7 +30,8 @@ from wafer_viewer.model.surface.frame_health import interpolation_u_um
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import focus_width, search_of
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, source_of
-from wafer_viewer.reconstruct.focus.peak import PEAKS, Peaks
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, fill_volume, find_peaks
 from wafer_viewer.reconstruct.preprocess.camera_noise import settled_noise
 from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare

@@ -207,7 +207,7 @@ def _widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDArray[n
     textured = (peaks.contrast > FOCUS_WIDTH.least_contrast) & ~peaks.at_end
     levels = bench.curves.levels[:, textured].astype(np.float32)
     over_floor = 1 + (np.exp2(peaks.contrast[textured]) - 1) * np.float32(2 ** (-power / 2))
-    half = levels.min(axis=0, initial=65535) + np.log2(over_floor) * np.float32(2**bench.spots.bits)
+    half = levels.min(axis=0, initial=65535) + np.log2(over_floor) * np.float32(2**bench.spots.table.bits)
     over = levels > half
     single = (np.count_nonzero(over[1:] & ~over[:-1], axis=0) == 1) & ~over[0] & ~over[-1]
     levels, half, over = levels[:, single], half[single], over[:, single]

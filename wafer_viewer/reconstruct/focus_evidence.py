@@ -101,9 +101,7 @@ def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float
     frames, search, pixel = field.frames, field.tuned.search, (slice(row, row + 1), slice(col, col + 1))
     bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
     search_part(frames, *pixel, search, bench, Peaks.empty((1, 1), bench.block.dtype))
-    levels = bench.curves.levels[:, 0, 0].astype(np.int64)
-    bits, table = bench.spots.bits, bench.spots.table
-    log2 = (levels >> bits) + table[levels & (table.size - 1)]
+    log2 = bench.spots.table.logarithms(bench.curves.levels[:, 0, 0])
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
     read_block(frames, *pixel, 0, grey)
     return np.exp2(log2 - log2.max()), frames.as_stored_counts(grey[:, 0, 0]).astype(np.int64)

@@ -19,8 +19,8 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import search_of
 from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, row_parts, rows_in
-from wafer_viewer.reconstruct.focus.peak import FocusCurves, InterpolationScratch, Peaks
+from wafer_viewer.reconstruct.focus.focus_volume import FocusCurves, StackSource, Volume, row_parts, rows_in
+from wafer_viewer.reconstruct.focus.peak import Peaks, PeakScratch
 from wafer_viewer.reconstruct.focus.peak_search import (
     WideLevels,
     fill_volume,
@@ -73,7 +73,7 @@ class LiveField:
         self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
         kernels = focus_kernels(self._search.measure)
         self._rows = kernels.make_rows(cols, self._search.window, images.dtype)
-        self._spots = InterpolationScratch.make(cols, kernels.table(images.dtype))
+        self._spots = PeakScratch.make(cols, kernels.table(images.dtype))
         self._wide = WideLevels(self._peaks.coarse, wide_cells(self._search.window)) if recipe.compare_windows else None
         looks_for_edges = recipe.edges != "none"
         self._silhouette = Silhouette.empty(images.shape[1:]) if looks_for_edges else None

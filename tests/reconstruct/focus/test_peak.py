@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.reconstruct.focus.peak import PEAKS, PeakInterpolation, confidence_of, lead_of, place
+from wafer_viewer.reconstruct.focus.peak import confidence_of, lead_of
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation, place
 from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 

@@ -10,8 +10,8 @@ import pytest
 from tests.truth.phase import Stairs, Tilted, errors_of, phase_error, stairs
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import SIGMA_WIDTHS
-from wafer_viewer.reconstruct.focus.peak import PEAKS
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS
 from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 

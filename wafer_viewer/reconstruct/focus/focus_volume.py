@@ -15,10 +15,23 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.intrinsics import prefetch
-from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int64s, UInt16s, inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import (
+    Float32s,
+    Greys,
+    Int,
+    Int64s,
+    Real,
+    UInt16s,
+    aligned,
+    inline_kernel,
+    inlined_part,
+    lean_kernel,
+    lean_part,
+)
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames, as_slice, read_block
 
@@ -58,6 +71,53 @@ class Volume(NamedTuple):
     peak: UInt16s
     clipped: UInt16s
     coarse: UInt16s
+
+
+class FocusCurves(NamedTuple):
+    """Focus volume of a block, levels [k, row, col], with the best level of each pixel and its frame."""
+
+    levels: UInt16s
+    best: UInt16s
+    peak: UInt16s
+
+    @classmethod
+    def make(cls, n_frames: int, shape: tuple[int, int]) -> FocusCurves:
+        """Allocate the curves of `shape` pixels."""
+        return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
+
+    def cut(self, n_rows: int) -> FocusCurves:
+        """Return the same memory for fewer rows."""
+        return FocusCurves(fewer_rows(self.levels, n_rows), self.best[:n_rows], self.peak[:n_rows])
+
+
+class LevelTable(NamedTuple):
+    """Logarithms of the levels of a measure: a level has `bits` fraction bits, and they add fractions[bits] to log2."""
+
+    bits: int
+    fractions: Float32s
+
+    @classmethod
+    def of(cls, fractions: Float32s) -> LevelTable:
+        """Return the table of levels whose lower bits `fractions` decodes."""
+        return cls(fractions.size.bit_length() - 1, fractions)
+
+    def logarithms(self, levels: UInt16s) -> Float32s:
+        """Return log2 of the focus of an array of levels."""
+        whole, fraction = np.divmod(levels, self.fractions.size)
+        return whole + self.fractions[fraction]
+
+
+@inline_kernel
+def log2_of(level: Int, table: LevelTable) -> Real:
+    """Return log2 of the focus of a level."""
+    q = np.int64(level)
+    return np.float32(q >> table.bits) + table.fractions[q & (table.fractions.size - 1)]
+
+
+def fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
+    """Return a volume [k, row, col] of fewer rows that shares the memory of `volume`."""
+    n_frames, _, cols = volume.shape
+    return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
 
 
 USUAL_CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)

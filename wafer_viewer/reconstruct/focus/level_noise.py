@@ -7,7 +7,7 @@ frames. Both are simulated for the measure and window in use, so that a measure 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,13 @@ from scipy.ndimage import convolve1d
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.numerics.jit import Float32s
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import Focusing, StackSource, Volume
-from wafer_viewer.reconstruct.focus.peak import NOISE_STEPS, LevelNoise
+from wafer_viewer.reconstruct.focus.focus_volume import Focusing, LevelTable, StackSource, Volume
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
+NOISE_STEPS = 4
+"""Entries of `LevelNoise.octaves` per power of two."""
 _SIDE_PX, _FRAMES = 64, 12
 """Side of the simulated patch, and its frames for each strength of the texture."""
 _DEVIATION = {np.dtype(np.uint8): 1.5, np.dtype(np.uint16): 18.0}
@@ -41,12 +43,21 @@ _SEED = 20240301
 """Seed of the simulated texture and noise."""
 
 
+class LevelNoise(NamedTuple):
+    """Standard deviation of a level due to the noise of the camera.
+
+    octaves: float32 [n], by the height of the level over that of pure noise, in `NOISE_STEPS` a power of two from 0 on;
+    of_noise: float32 [grey], log2 of the focus of pure noise by the grey of the pixel.
+    """
+
+    octaves: Float32s
+    of_noise: Float32s
+
+
 @lru_cache(maxsize=64)
-def level_noise(measure: str | None, window: int, camera: CameraNoise, dtype: np.dtype[Any]) -> LevelNoise:
-    """Return the noise of levels of a measure in frames of a camera; NaN without a measure, where none is wanted."""
+def level_noise(measure: str, window: int, camera: CameraNoise, dtype: np.dtype[Any]) -> LevelNoise:
+    """Return the noise of levels of a measure in frames of a camera."""
     greys = np.arange(2.0 ** (8 * dtype.itemsize))
-    if measure is None:
-        return LevelNoise(np.full(1, np.nan, np.float32), np.zeros(greys.size, np.float32))
     over, octaves, of_noise, degree = _simulated(measure, window, dtype)
     table = np.exp2(_extended(np.arange(NOISE_STEPS * _OCTAVES) / NOISE_STEPS, over, np.log2(octaves)))
     variance = camera.gain_counts * greys + camera.floor_counts2
@@ -93,5 +104,4 @@ def _log2_focus(measure: str, window: int, margin: int, counts: Image, variance_
     volume = Volume(levels, best, peak, clipped, np.empty((0, 0, 0), np.uint16))
     camera = CameraNoise(gain_counts=variance_counts2 / white, floor_counts2=variance_counts2 / 2)
     kernels.fill(source, Focusing(window, camera), kernels.make_rows(_SIDE_PX, window, counts.dtype), volume)
-    table = kernels.table(counts.dtype).astype(np.float64)
-    return (levels >> (table.size.bit_length() - 1)) + table[levels & (table.size - 1)]
+    return LevelTable.of(kernels.table(counts.dtype)).logarithms(levels).astype(np.float64)

@@ -38,28 +38,22 @@ from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.focus_volume import (
     COARSE_PX,
     USUAL_CAMERA,
+    FocusCurves,
     Focusing,
     StackSource,
     Volume,
     cores,
+    fewer_rows,
     note,
     row_parts,
     rows_in,
     source_of,
 )
-from wafer_viewer.reconstruct.focus.level_noise import level_noise
+from wafer_viewer.reconstruct.focus.level_noise import LevelNoise, level_noise
 from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
-from wafer_viewer.reconstruct.focus.peak import (
-    PEAKS,
-    FocusCurves,
-    InterpolationScratch,
-    LevelNoise,
-    PeakInterpolation,
-    Peaks,
-    describe,
-    fewer_rows,
-)
+from wafer_viewer.reconstruct.focus.peak import Peaks, PeakScratch, describe_centred, describe_interpolated
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 
@@ -114,9 +108,8 @@ class Search:
         return CentringWindow.of(z_um, self.sigma) if PEAKS[self.estimator].centred else None
 
     def noise(self, dtype: np.dtype[Any]) -> LevelNoise:
-        """Return the noise of the levels in frames of a dtype, if the estimator propagates it."""
-        measure = self.measure if self.estimator == PROPAGATED_PEAK else None
-        return level_noise(measure, self.window, self.camera, dtype)
+        """Return the noise of the levels in frames of a dtype."""
+        return level_noise(self.measure, self.window, self.camera, dtype)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +119,7 @@ class ThreadScratch:
     block: Image
     curves: FocusCurves
     rows: Any
-    spots: InterpolationScratch
+    spots: PeakScratch
 
     @classmethod
     def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> ThreadScratch:
@@ -135,7 +128,7 @@ class ThreadScratch:
         block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
         kernels = focus_kernels(search.measure)
         rows = kernels.make_rows(shape[1], search.window, native)
-        spots = InterpolationScratch.make(shape[1], kernels.table(native))
+        spots = PeakScratch.make(shape[1], kernels.table(native))
         return cls(block, FocusCurves.make(n_frames, shape), rows, spots)
 
     def cut(self, n_rows: int) -> ThreadScratch:
@@ -203,13 +196,20 @@ def find_peaks(
     z_um: NDArray[np.float64],
     search: Search,
     curves: FocusCurves,
-    spots: InterpolationScratch,
+    spots: PeakScratch,
     out: Peaks,
     window: CentringWindow | None = None,
 ) -> None:
-    """Compute the peaks of measured frames and store them in `out`; window: that of the search, if it is made."""
-    noise, window = search.noise(out.all_in_focus.dtype), window or search.centring(z_um)
-    describe(curves, source, z_um, search.placing, window, noise, spots, out.scores)
+    """Compute the peaks of measured frames and store them in `out`; window: that of the search, if it is made.
+
+    Either kind of peak has its own kernel, so that a user waits for the compiler of one only.
+    """
+    window = window or search.centring(z_um)
+    if window is None:
+        describe_interpolated(curves, source, z_um, search.placing, spots, out.scores)
+    else:
+        noise = search.noise(out.all_in_focus.dtype)
+        describe_centred(curves, source, z_um, search.gap, window, noise, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 
@@ -385,7 +385,7 @@ def wide_heights(
     n_frames, n_rows, cols = peaks.coarse.shape
     cells, z_um = cells or wide_cells(search.window), np.asarray(z_um, np.float64)
     wide = replace(search, floored=False)
-    spots = InterpolationScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
+    spots = PeakScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
     line, window = aligned((cols + cells - 1,), np.int32), search.centring(z_um)
     found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
     room = FocusCurves.make(0 if known else n_frames, (min(n_rows, _WIDE_ROWS), cols))
