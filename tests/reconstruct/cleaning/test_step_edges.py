@@ -126,14 +126,17 @@ def test_of_an_island_without_support_no_crumb_is_left() -> None:
     assert np.isnan(found.raw_um[20:44, 160:184]).all()
 
 
-def test_beside_a_wall_uneven_heights_count_only_where_the_focus_along_it_gave_them() -> None:
+@pytest.mark.parametrize("joined", [True, False])
+def test_beside_a_wall_uneven_heights_count_where_the_focus_along_it_gave_them_and_joins_others(joined: bool) -> None:
     z_um = islands(6.0)
+    if joined:
+        z_um[20:140, 184:] = z_um[20, 183]
     settled = settle_cleaning([z_um], Recipe(window=9, focus_width_um=10.0), 4.0)
     side_is_known, found_along = np.ones(z_um.shape, np.bool_), np.zeros(z_um.shape, np.bool_)
-    found_along[:, 172:] = True
+    found_along[:, 172:184] = True
     found = clean(z_um, 0.5, settled, 4.0, side_is_known, found_along=found_along)
     assert found.outlier[24:40, 164:172].all()
-    assert np.isfinite(found.raw_um[20:44, 172:184]).all()
+    assert (np.isfinite(found.raw_um[20:44, 172:184]) == joined).all()
     assert np.isfinite(found.raw_um[10:150, 10:130]).all()
 
 

@@ -19,7 +19,7 @@ away from the line as steeply as the aperture is wide. That is a jump within the
 Unsupported heights: false ones that pass every other test are uneven, at the margin of what is measured, on small
 islands. None of this alone tells them apart; a height counts as an outlier where the product is large. Heights found by
 the focus along a wall are exempt: they lie at the margin because the wall does. What is then left of an island must
-still be as large as one.
+still be as large as one, and heights along a wall must join others.
 """
 
 from __future__ import annotations
@@ -110,6 +110,18 @@ def _islands(z_um: Map, sizes: NDArray[np.int32], window: int) -> Found:
     """
     measured = np.isfinite(z_um)
     return (measured & (sizes < (2 * window) ** 2)) | border_components(measured, window)
+
+
+def _lone_islands(z_um: Map, tolerance_um: float, window: int, found_along: Found) -> Found:
+    """Detect the islands that all removals have left.
+
+    Of heights that the focus along a wall gave, those that join no others: they were expected from a surface further
+    from the wall, and where nothing is left of it they may be those of the outline: tests/truth/unseen.py.
+    """
+    sizes = component_sizes(z_um, tolerance_um)
+    along = np.where(found_along, z_um, np.float32(np.nan))
+    alone = np.isfinite(along) & (component_sizes(along, tolerance_um) == sizes) if found_along.any() else found_along
+    return (_islands(z_um, sizes, window) & ~found_along) | alone
 
 
 def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
@@ -348,7 +360,7 @@ def clean(
             exempt = np.zeros(z_um.shape, np.bool_) if found_along is None else found_along
             outlier |= _unsupported(raw, sizes, pixel_um, recipe, resolution_um) & ~exempt
             raw[outlier] = np.nan
-            outlier |= _islands(raw, component_sizes(raw, tolerance_um), int(recipe.window)) & ~exempt
+            outlier |= _lone_islands(raw, tolerance_um, int(recipe.window), exempt)
             raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
