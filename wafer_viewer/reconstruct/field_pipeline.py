@@ -28,9 +28,9 @@ from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled, settle_cleaning
 from wafer_viewer.reconstruct.focus.all_in_focus import FrameFit, all_in_focus, membrane
 from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS
 from wafer_viewer.reconstruct.focus.peak_search import (
     FOCUS_WIDTH_DEPTHS,
-    PROPAGATED_PEAK,
     WideLevels,
     search_field,
     wide_heights,
@@ -325,7 +325,7 @@ def uncertainty(
     A height that was searched again at a wall has another curve than its peak: its uncertainty is not known.
     """
     recipe, search = field.tuned.recipe, field.tuned.search
-    if recipe.peak != PROPAGATED_PEAK:
+    if not PEAKS[recipe.peak].centred:
         return None
     noise_um = corrected.gated.peaks.noise_um
     if corrected.edges is not None:

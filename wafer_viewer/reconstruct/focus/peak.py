@@ -112,7 +112,7 @@ class Peaks:
 
     @property
     def scores(self) -> PeakScores:
-        """Arrays that `describe` fills."""
+        """Arrays that the kernels fill."""
         return PeakScores(self.z_um, self.noise_um, self.lead, self.fall, self.contrast, self.dip, self.all_in_focus)
 
     @property

@@ -54,7 +54,7 @@ class PeakEstimator:
 
     @property
     def centred(self) -> bool:
-        """True if the peak is placed by a window instead of three points."""
+        """True if a window places the peak instead of three points, which propagates the noise of levels to it."""
         return self.code == _CENTRED
 
 

@@ -59,8 +59,6 @@ from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 STRIPE_ROWS = 32
 """A multiple of `COARSE_PX`; the focus volumes of two threads then fit the L3 cache of most processors."""
-PROPAGATED_PEAK = "centred"
-"""Estimator through which the noise of levels is propagated to the height."""
 
 
 def largest_gap(n_frames: int) -> int:
