@@ -125,12 +125,12 @@ class Solver:
     coarsest: Apply
 
     def solve(
-        self, right: Numbers, tolerance: float, start: Numbers | None = None, enough: Numbers | float = 0.0
+        self, right: Numbers, tolerance: Numbers | float, start: Numbers | None = None, enough: Numbers | float = 0.0
     ) -> Numbers:
-        """Return x of system @ x = right, all [n + m, k], starting from `start`.
+        """Return x of system @ x = right, all [n + m, k], starting from the multiple of `start` that is nearest to it.
 
-        tolerance: of the error in the energy norm, relative to x; enough: energy of the error, x^T system x, that is
-        sufficiently small however small x is, [k]. Raises ComputeError when it does not converge.
+        tolerance: of the error in the energy norm, relative to x, [k]; enough: energy of the error, x^T system x, that
+        is sufficiently small however small x is, [k]. Raises ComputeError when it does not converge.
         """
         if not self.levels:
             return self.coarsest(right)
@@ -257,14 +257,15 @@ def _length(vector: Numbers) -> float:
 
 
 def _conjugate_gradients(
-    system: System, precondition: Apply, right: Numbers, goals: tuple[float, Numbers | float], start: Numbers
+    system: System, precondition: Apply, right: Numbers, goals: tuple[Numbers | float, Numbers | float], start: Numbers
 ) -> tuple[Numbers, bool]:
     """Solve all right-hand sides at once, each with its own step sizes; also return whether they converged."""
-    x = start.copy()
-    residual = system.residual(right, x)
+    pushed = system @ start
+    nearest = _ratio(_dots(start, right), _dots(start, pushed))
+    x, residual = nearest * start, right - nearest * pushed
     ahead = precondition(residual)
     direction, energy = ahead, _dots(residual, ahead)
-    goal = np.maximum(goals[0] ** 2 * _dots(right, precondition(right)), goals[1])
+    goal = np.maximum(np.square(goals[0]) * _dots(right, precondition(right)), goals[1])
     for _ in range(MULTIGRID.most_steps):
         if np.all(energy <= goal):
             return x, True

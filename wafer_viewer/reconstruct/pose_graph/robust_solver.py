@@ -51,6 +51,8 @@ class RobustSolverParameters:
         Largest fraction of overlaps with a larger change in the last round.
     intermediate : float
         Relative error of an intermediate solution that only determines weights.
+    trace : float
+        Relative error of the solutions from which the traces of the priors are estimated.
     enough_each : float, variances per unknown
         Negligible energy of the error of an intermediate solution.
     enough : float, variances
@@ -71,6 +73,7 @@ class RobustSolverParameters:
     steady: float = 0.05
     restless_fraction: float = 1e-3
     intermediate: float = 3e-2
+    trace: float = 0.1
     enough_each: float = 1e-4
     enough: float = 1e-2
     probes: int = 4
@@ -183,7 +186,9 @@ def _least_squares_step(network: PoseGraph, solution: RobustSolution, probes: Nu
     )
     enough = np.zeros(begun.shape[1])
     enough[0] = ROBUST.enough_each * len(downhill) if intermediate else ROBUST.enough
-    solved = solver.solve(np.hstack((downhill, probes)), ROBUST.intermediate if intermediate else 0.0, begun, enough)
+    tolerance = np.full(begun.shape[1], ROBUST.trace)
+    tolerance[0] = ROBUST.intermediate if intermediate else 0.0
+    solved = solver.solve(np.hstack((downhill, probes)), tolerance, begun, enough)
     step, shared_step = np.split(solved[:, 0], (network.size * int(free.sum()),))
     values = solution.values.copy()
     values[free] += step.reshape(-1, network.size)
@@ -277,9 +282,11 @@ Their band and its inverse take 150 MB; both grow faster than the number of fiel
 _SAMPLES = 48
 """Number of sets of errors that are drawn for the uncertainties of many fields."""
 _AT_ONCE = 8
-"""Number of drawn sets of errors that are solved together."""
-_TOLERANCE = 1e-2
-"""Relative error of the solutions from which uncertainties are computed."""
+"""Largest number of drawn sets of errors that are solved together."""
+_ROOM = 64 * 2**20
+"""Bytes of a solution of those sets; solving them takes about ten times as much."""
+_TOLERANCE = 3e-2
+"""Relative error of the solutions from which uncertainties are computed, which become smaller by less than 1 %."""
 
 
 def standard_uncertainties(network: PoseGraph, solution: RobustSolution, wanted: tuple[int, ...]) -> Numbers:
@@ -328,11 +335,13 @@ def _sampled(network: PoseGraph, solution: RobustSolution, solver: Solver) -> Nu
     n, random = len(solver.system.border), np.random.default_rng(5)
     values, vectors = np.linalg.eigh((solution.weight / solution.excess**2)[:, None, None] * network.information)
     vectors *= np.sqrt(np.maximum(values, 0))[:, None, :]
-    variance = np.zeros(n)
-    for _ in range(_SAMPLES // _AT_ONCE):
-        by_overlap = vectors @ random.normal(size=(*values.shape, _AT_ONCE))
-        by_prior = random.normal(size=(len(network.x_um), network.size, _AT_ONCE)) / network.prior_sigma[:, None]
-        by_shared = random.normal(size=(len(solution.shared), _AT_ONCE)) / network.shared_sigma[:, None]
+    variance, at_once = np.zeros(n), _AT_ONCE
+    while at_once > 1 and at_once * variance.nbytes > _ROOM:
+        at_once //= 2
+    for _ in range(_SAMPLES // at_once):
+        by_overlap = vectors @ random.normal(size=(*values.shape, at_once))
+        by_prior = random.normal(size=(len(network.x_um), network.size, at_once)) / network.prior_sigma[:, None]
+        by_shared = random.normal(size=(len(solution.shared), at_once)) / network.shared_sigma[:, None]
         drawn = solver.solve(gradient(network, by_overlap, by_prior, by_shared), _TOLERANCE)[:n]
         variance += np.einsum("nk,nk->n", drawn, drawn)
     return variance / _SAMPLES
