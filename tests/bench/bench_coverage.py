@@ -254,15 +254,27 @@ class Cell:
     expanded: np.ndarray
 
     @property
+    def known(self) -> np.ndarray:
+        """Whether the uncertainty of a run was evaluated, bool [n]."""
+        return np.isfinite(self.expanded)
+
+    @property
     def covered(self) -> float:
         """Share of the runs with an uncertainty that covers the truth."""
-        known = np.isfinite(self.expanded)
+        known = self.known
         return float(np.mean(np.abs(self.error[known]) <= self.expanded[known])) if known.any() else float("nan")
+
+    @property
+    def counted(self) -> str:
+        """The share with the number of runs, and `LOW` where it is below the least by more than chance."""
+        n = int(self.known.sum())
+        by_chance = CHANCE * np.sqrt(LEAST_COVERED * (1 - LEAST_COVERED) / max(n, 1))
+        return f"{percent(self.covered, 0)} of {n}{' LOW' if self.covered < LEAST_COVERED - by_chance else ''}"
 
     @property
     def verdict(self) -> str:
         """`met`, `LOW` or `wide` against the goal, as far as chance lets tell."""
-        n, share = int(np.isfinite(self.expanded).sum()), self.covered
+        n, share = int(self.known.sum()), self.covered
         by_chance = CHANCE * np.sqrt(0.05 * 0.95 / max(n, 1))
         low, high = COVERED
         return "LOW" if share < low - by_chance else "wide" if share > high + by_chance else "met"
@@ -329,7 +341,7 @@ def show_reconstructed(names: Sequence[str], seeds: range) -> None:
         for quantity, whole in parts["all"].items():
             of_u = np.abs(2 * whole.error / whole.expanded)
             off = f"{np.sqrt(np.nanmean(of_u**2)):.2f}", f"{np.nanmedian(of_u) / HALF_NORMAL_MEDIAN:.2f}"
-            shares = [percent(part[quantity].covered) if quantity in part else "" for part in parts.values()]
+            shares = [part[quantity].counted if quantity in part else "" for part in parts.values()]
             rows.append((quantity, whole.verdict, *off, *shares))
     use = "tuning" if seeds.start < FIRST_SEED else "reporting"
     header = ("U covers, % of the stacks", "goal", "rms of error / u", "median, of a normal one", *CELLS)
