@@ -19,7 +19,14 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import search_of
 from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import FocusCurves, StackSource, Volume, row_parts, rows_in
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    FocusCurves,
+    StackSource,
+    Volume,
+    on_threads,
+    row_parts,
+    rows_in,
+)
 from wafer_viewer.reconstruct.focus.peak import Peaks, PeakScratch
 from wafer_viewer.reconstruct.focus.peak_search import (
     WideLevels,
@@ -73,7 +80,7 @@ class LiveField:
         self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
         kernels = focus_kernels(self._search.measure)
         self._rows = kernels.make_rows(cols, self._search.window, images.dtype)
-        self._spots = PeakScratch.make(cols, kernels.table(images.dtype))
+        self._table = kernels.table(images.dtype)
         self._wide = WideLevels(self._peaks.coarse, wide_cells(self._search.window)) if recipe.compare_windows else None
         looks_for_edges = recipe.edges != "none"
         self._silhouette = Silhouette.empty(images.shape[1:]) if looks_for_edges else None
@@ -154,9 +161,13 @@ class LiveField:
 
     def _found(self, field: PreparedField) -> Peaks:
         slots, z_um, search = np.arange(len(self._images)), field.frames.z_um, field.tuned.search
-        window = search.centring(z_um)
-        for rows, curves in self._stripes:
-            find_peaks(self._source(rows, slots), z_um, search, curves, self._spots, self._peaks.rows(rows), window)
+
+        def one(stripe: tuple[slice, FocusCurves]) -> None:
+            rows, curves = stripe
+            spots = PeakScratch.make(self._images.shape[2], self._table)
+            find_peaks(self._source(rows, slots), z_um, search, curves, spots, self._peaks.rows(rows))
+
+        on_threads(one, self._stripes, threads=None)
         return self._peaks
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:

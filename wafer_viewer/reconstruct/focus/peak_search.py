@@ -196,13 +196,12 @@ def find_peaks(
     curves: FocusCurves,
     spots: PeakScratch,
     out: Peaks,
-    window: CentringWindow | None = None,
 ) -> None:
-    """Compute the peaks of measured frames and store them in `out`; window: that of the search, if it is made.
+    """Compute the peaks of measured frames and store them in `out`.
 
     Either kind of peak has its own kernel, so that a user waits for the compiler of one only.
     """
-    window = window or search.centring(z_um)
+    window = search.centring(z_um)
     if window is None:
         describe_interpolated(curves, source, z_um, search.placing, spots, out.scores)
     else:
@@ -384,7 +383,7 @@ def wide_heights(
     cells, z_um = cells or wide_cells(search.window), np.asarray(z_um, np.float64)
     wide = replace(search, floored=False)
     spots = PeakScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
-    line, window = aligned((cols + cells - 1,), np.int32), search.centring(z_um)
+    line = aligned((cols + cells - 1,), np.int32)
     found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
     room = FocusCurves.make(0 if known else n_frames, (min(n_rows, _WIDE_ROWS), cols))
     for n, rows in enumerate(row_parts(n_rows, _WIDE_ROWS)):
@@ -392,7 +391,7 @@ def wide_heights(
         curves = known.curves[n] if known else room.cut(rows_in(rows))
         if known is None:
             _average_levels(peaks.coarse, cells, rows.start, line, curves)
-        find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part, window)
+        find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part)
     return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)
 
 
