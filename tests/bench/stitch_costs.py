@@ -32,7 +32,7 @@ from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, bl
 from wafer_viewer.reconstruct.focus.focus_volume import on_threads
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
-from wafer_viewer.reconstruct.registration.pair_registration import register
+from wafer_viewer.reconstruct.registration.pair_registration import refine, register
 from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
@@ -103,6 +103,7 @@ def found_poses(made: Made, meter: Meter | None = None) -> Poses:
     meter = meter or Meter()
     eyes = OverlapObservers(
         lambda pairs: meter("registration", lambda: register(made.heights, pairs, threads=THREADS)),
+        lambda pairs, shift_um: meter("registration", lambda: refine(made.heights, pairs, shift_um, threads=THREADS)),
         lambda pairs, x_um, y_um: meter("seams", lambda: compare(made.heights, pairs, x_um, y_um, threads=THREADS)),
         made.heights.__getitem__,
     )
