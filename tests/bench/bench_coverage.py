@@ -267,16 +267,17 @@ class Cell:
     @property
     def counted(self) -> str:
         """The share with the number of runs, and `LOW` where it is below the least by more than chance."""
-        n = int(self.known.sum())
-        by_chance = CHANCE * np.sqrt(LEAST_COVERED * (1 - LEAST_COVERED) / max(n, 1))
-        return f"{percent(self.covered, 0)} of {n}{' LOW' if self.covered < LEAST_COVERED - by_chance else ''}"
+        low = self.covered < LEAST_COVERED - self._by_chance(LEAST_COVERED)
+        return f"{percent(self.covered, 0)} of {self.known.sum()}{' LOW' if low else ''}"
+
+    def _by_chance(self, share: float) -> float:
+        """How far chance moves a share of these runs."""
+        return CHANCE * float(np.sqrt(share * (1 - share) / max(self.known.sum(), 1)))
 
     @property
     def verdict(self) -> str:
         """`met`, `LOW` or `wide` against the goal, as far as chance lets tell."""
-        n, share = int(self.known.sum()), self.covered
-        by_chance = CHANCE * np.sqrt(0.05 * 0.95 / max(n, 1))
-        low, high = COVERED
+        share, by_chance, (low, high) = self.covered, self._by_chance(0.95), COVERED
         return "LOW" if share < low - by_chance else "wide" if share > high + by_chance else "met"
 
 

@@ -183,12 +183,13 @@ def show_field(stack: FieldStack, runs: int) -> None:
 def show_live(file: Path) -> None:
     """A field whose frames come a few at a time: what is left to do when the last of them is there."""
     with in_a_worker() as worker:
-        a_frame_s, after_last = worker.submit(live_s, file).result()
+        a_frame_s, clock, processor = worker.submit(live_s, file).result()
     rows = [
         ("while frames come, ms a frame", 1e3 * a_frame_s, "16.7, the camera's"),
-        ("the map after the last frame, s", after_last, f"{LIVE_GOAL_S:g} {met(after_last, LIVE_GOAL_S)}"),
+        ("the map after the last frame, s of processor", processor, f"{LIVE_GOAL_S:g} {met(processor, LIVE_GOAL_S)}"),
+        ("the same by the clock, all cores", clock, ""),
     ]
-    show("A live field, settled recipe, 1 thread", ("", "measured", "goal"), rows)
+    show("A live field, settled recipe", ("", "measured", "goal"), rows)
 
 
 @contextlib.contextmanager
@@ -204,8 +205,9 @@ def in_a_worker() -> Generator[ProcessPoolExecutor]:
         os.environ.update(own)
 
 
-def live_s(file: Path) -> tuple[float, float]:
-    """Processor time a frame while the frames of a field come, and from its last frames to its map."""
+def live_s(file: Path) -> tuple[float, float, float]:
+    """Processor time a frame while the frames of a field come; from its last frames to its map by the clock, and that
+    of the processor."""
     warm_up()
     stack = mapped(file)
     recipe = tune_recipe(prepare(stack), Recipe()).recipe
@@ -213,8 +215,9 @@ def live_s(file: Path) -> tuple[float, float]:
     for first in range(0, stack.n_frames, LIVE_FRAMES):
         stop = min(first + LIVE_FRAMES, stack.n_frames)
         taking.append(least(functools.partial(field.take, first, stop), 1)[1] / (stop - first))
-    finishing = least(lambda: field.surface(stack), 5)[1]
-    return float(np.median(taking)), finishing + LIVE_FRAMES * taking[-1]
+    last = LIVE_FRAMES * taking[-1]
+    clock, processor = least(lambda: field.surface(stack), 5)
+    return float(np.median(taking)), clock + last, processor + last
 
 
 def show_memory(file: Path) -> None:
