@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from markupsafe import Markup
 
+from tests.support.campaigns import COMPLETE, SHARE, draw, is_drawn
 from tests.support.patience import PATIENCE_S
 
 # Started in the background a shell lets its children ignore ctrl-C, and theirs inherit that: the programs under test
@@ -24,9 +25,23 @@ LONGEST_FIRST = (
 """Files that take minutes: begun last, they are what the other worker waits for."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     rank = {name: k for k, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    if skipped := [item for item in items if not runs_now(item)]:
+        config.hook.pytest_deselected(items=skipped)
+        items[:] = [item for item in items if runs_now(item)]
+
+
+def runs_now(item: pytest.Item) -> bool:
+    """Campaigns are drawn, but for a test that was asked for by its name."""
+    campaign = item.get_closest_marker("campaign")
+    named = any("::" in word for word in item.config.invocation_params.args)
+    return campaign is None or campaign.kwargs.get("within", False) or named or is_drawn(item.nodeid)
+
+
+def pytest_report_header() -> str:
+    return "campaigns: complete" if COMPLETE else f"campaigns: one case in {SHARE}, drawn by {draw()[:12]}"
 
 
 # How long an example takes tells of the machine and of what else it does.
