@@ -79,7 +79,7 @@ def test_every_name_is_there_and_listed(name):
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="has no attribute 'reconstrukt'"):
+    with pytest.raises(AttributeError, match="No wafer_viewer attribute reconstrukt"):
         wv.reconstrukt  # noqa: B018
 
 
