@@ -24,6 +24,8 @@ OF_NAMED = {
     "docutils": "CC0-1.0",  # public domain but for some files that are not imported
 }
 """Licences beyond `RUN_TIME`, or not stated in a form that can be read: of extras and tools of the tests alone."""
+EXCHANGEABLE = {"libusb-package": "Apache-2.0 AND LGPL-2.1-or-later"}
+"""Packages at run time with a shared library that users may exchange; they state only their own licence."""
 _WORDS = {
     "mit license": "MIT",
     "mit": "MIT",
@@ -50,7 +52,7 @@ _WORDS = {
 
 def stated(name: str) -> str:
     """Licence of an installed package as an SPDX expression; what it states where that is none."""
-    if (known := OF_NAMED.get(canonicalize_name(name))) is not None:
+    if (known := (OF_NAMED | EXCHANGEABLE).get(canonicalize_name(name))) is not None:
         return known
     about = importlib.metadata.metadata(name)
     if expression := about.get("License-Expression"):

@@ -80,7 +80,7 @@ needs_package() {
 install_system_packages() {
   [ "$(uname -s)" = Linux ] || return 0
   local wanted=() pair run=()
-  for pair in chromium:chromium libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libgomp.so.1:libgomp1 make:make \
+  for pair in chromium:chromium libGL.so.1:libgl1 libEGL.so.1:libegl1 make:make \
     'libaravis-0.8.so.0:gir1.2-aravis-0.8' 'libgirepository-1.0.so.1:python3-gi' \
     'gcc:gcc libc6-dev' clang:clang ld.lld:lld 'avr-gcc:gcc-avr avr-libc' 'simavr:simavr libsimavr-dev libelf-dev'; do
     if needs_package "${pair%%:*}"; then wanted+=("${pair#*:}"); fi

@@ -116,6 +116,12 @@ def test_importing_the_package_pulls_in_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_one_file_imports_open3d():
+    """It loads what Open3D links to, and names the mend where that fails."""
+    imports = re.compile(r"^\s*(import|from) open3d\b|import_module\([\"']open3d", re.MULTILINE)
+    assert [m.name for m in MODULES if imports.search(m.read_text())] == ["open3d_library.py"]
+
+
 def test_profiles_steps_and_gauge_checks_need_no_compiler():
     tools = "wafer_viewer.measure.tools.profile, wafer_viewer.measure.tools.step_height"
     code = f"import sys, wafer_viewer.measure.gauge.gauge_check, {tools}; print('numba' in sys.modules)"

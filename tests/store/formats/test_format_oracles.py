@@ -14,6 +14,7 @@ import pytest
 
 from tests.store.formats.test_formats import letter_f
 from wafer_viewer.model.file_formats import WRITTEN
+from wafer_viewer.numerics.open3d_library import load_open3d
 from wafer_viewer.store.formats.exporters import export
 from wafer_viewer.store.formats.readers import read_surface
 
@@ -112,7 +113,7 @@ def test_surfalize(written, z_um, ending):
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [".ply", ".pcd", ".xyz", ".obj", ".stl", ".glb"])
 def test_open3d(written, ending):
-    open3d = pytest.importorskip("open3d")
+    open3d = load_open3d()
     if ending in (".ply", ".pcd", ".xyz"):
         points = np.asarray(open3d.io.read_point_cloud(str(written / f"a{ending}")).points)
         assert len(points) == POINTS

@@ -6,10 +6,9 @@ away from the border of the scan, and away from the joint by the distance that a
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.open3d_library import load_open3d
 
 SIZE_PX = 800
 """Side of the areas on which the paper measures its blocks."""
@@ -155,7 +155,9 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
     ------
     MeasureError
         If too little of the surface is measured, the surface does not have exactly two faces, the faces differ in tilt
-        by more than 20 mrad, one has no room for a square of 50 pixels, or Open3D cannot be loaded.
+        by more than 20 mrad, or one has no room for a square of 50 pixels.
+    ComputeError
+        If Open3D cannot be loaded.
 
     Notes
     -----
@@ -246,7 +248,7 @@ def _planes(faces: VisibleFace) -> list[FacePlane]:
 
 def _searched(points: Floats, noise_um: float) -> FacePlane:
     """Find the plane with the most points, then fit it to them."""
-    open3d = _open3d()
+    open3d = load_open3d()
     open3d.utility.random.seed(FACE_SEARCH.seed)
     some = points[:: max(1, len(points) // FACE_SEARCH.cloud)]
     middle = some.mean(axis=0)
@@ -319,14 +321,3 @@ def _note(side_px: float, size_px: float) -> tuple[str, ...]:
     if side_px == size_px:
         return ()
     return (f"The faces have room for squares of {side_px:.0f} px, not for {size_px:g} px.",)
-
-
-def _open3d() -> Any:
-    """Import Open3D on first use: the import is slow, and fails on a bare machine."""
-    try:
-        return importlib.import_module("open3d")
-    except (ImportError, OSError) as fault:
-        raise MeasureError(
-            "Detecting faces needs Open3D, which cannot be loaded: run 'wafer-viewer doctor' for the reason, "
-            "or draw the two regions by hand."
-        ) from fault

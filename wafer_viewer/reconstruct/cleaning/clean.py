@@ -42,6 +42,7 @@ from wafer_viewer.numerics.filters.local_planes import local_planes
 from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.open3d_library import load_open3d
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
 
@@ -156,8 +157,7 @@ def far_on_lattice(z_um: Map, how: Outliers) -> Found:
 
 def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
     """Detect outliers by the paper's method, with Open3D's neighbour search."""
-    import open3d
-
+    open3d = load_open3d()
     rows, cols = np.nonzero(np.isfinite(z_um))
     found = np.zeros(z_um.shape, bool)
     if len(rows) <= how.neighbours:

@@ -11,7 +11,6 @@ determines x and y less well than images do, unless these are poor; each is weig
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import ComputeError, MeasureError
+from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import FoundBy, Registration
@@ -28,6 +27,7 @@ from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.open3d_library import load_open3d
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
 from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
 from wafer_viewer.reconstruct.registration.picture_match import MATCH_ACCEPTANCE, match
@@ -455,7 +455,7 @@ def _icp(sample: _Sample, plane: Plane, about_um: tuple[float, float]) -> tuple[
     target, source, normals = _points(sample, about_um)
     if len(target) < RELIEF.least_points:
         return np.zeros(3), np.zeros((3, 3))
-    registration = _open3d().pipelines.registration
+    registration = load_open3d().pipelines.registration
     sigma = max(plane.rms, RELIEF.least_sigma_um)
     estimation = registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=RELIEF.tukey * sigma))
     reach_um = float(np.hypot(sample.lattice.pixel_um, 2 * RELIEF.tukey * sigma))
@@ -501,15 +501,8 @@ def _information(target: Numbers, normals: Numbers, source: Numbers, plane: Plan
 
 
 def _cloud(points: Numbers, normals: Numbers | None = None) -> Any:
-    open3d = _open3d()
+    open3d = load_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     if normals is not None:
         cloud.normals = open3d.utility.Vector3dVector(normals)
     return cloud
-
-
-def _open3d() -> Any:
-    try:
-        return importlib.import_module("open3d")
-    except (ImportError, OSError) as fault:
-        raise ComputeError(f"Open3D cannot be loaded ({fault}): run `wafer-viewer doctor` for the reason.") from fault

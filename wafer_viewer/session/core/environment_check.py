@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import importlib
 import os
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.numerics.open3d_library import Open3DMissing, load_open3d
 from wafer_viewer.rigs.composed.device_checks import (
     check_devices,
     check_index_marks,
@@ -24,8 +24,6 @@ from wafer_viewer.rigs.composed.device_checks import (
 from wafer_viewer.rigs.rig_config import RigConfig, device_opener, open_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")
-OPEN3D_LIBRARIES = {"usb-1.0": "libusb-1.0-0", "GL": "libgl1", "gomp": "libgomp1"}
-"""Libraries that `import open3d` needs on Linux, and their Debian packages."""
 ROOM_BYTES = 5e9
 
 
@@ -52,7 +50,7 @@ def check_environment(
     """
     yield EnvironmentCheck("Python", sys.version.split()[0])
     yield from (_package(name) for name in PACKAGES)
-    yield _open3d()
+    yield check_open3d()
     yield _processors()
     yield _disk(data_folder)
     yield (cache := _cache())
@@ -69,11 +67,12 @@ def _package(name: str) -> EnvironmentCheck:
     return EnvironmentCheck(name, str(getattr(module, "__version__", "there")))
 
 
-def _open3d() -> EnvironmentCheck:
-    lacking = [p for library, p in OPEN3D_LIBRARIES.items() if ctypes.util.find_library(library) is None]
-    if sys.platform == "linux" and lacking:
-        return EnvironmentCheck("open3d", f"lacks {', '.join(lacking)}", f"sudo apt-get install {' '.join(lacking)}")
-    return _package("open3d")
+def check_open3d() -> EnvironmentCheck:
+    """Check that Open3D can be loaded, which searches faces, refines comparisons and removes outliers as the paper."""
+    try:
+        return EnvironmentCheck("open3d", load_open3d().__version__)
+    except Open3DMissing as fault:
+        return EnvironmentCheck("open3d", f"cannot be loaded: {fault.reason}", fault.mend)
 
 
 def _processors() -> EnvironmentCheck:
