@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import pytest
 
@@ -16,7 +16,6 @@ from tests.support.parsed_modules import MODULES, parsed
 from tests.support.paths import ROOT
 
 DRAWS_HTML = [m for m in MODULES if {"gui", "charts"} & set(m.relative_to(ROOT).parts)]
-ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init__.py").exists())
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
@@ -104,9 +103,21 @@ def test_a_public_name_means_one_thing():
     assert all(defined[name] == 1 for name in DEFINED_ONCE)
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_picture_of_the_architecture_shows_every_room(room):
-    assert f"{room}/" in (ROOT / "assets/docs/explanation/architecture.md").read_text()
+ROOM_OF_PICTURE = re.compile(r"^( +)(\w+)/ +(\S.*)$")
+
+
+def test_architecture_shows_every_room_with_its_purpose():
+    picture = (ROOT / "assets/docs/explanation/architecture.md").read_text().split("```")[1]
+    lines, folders, purposes = picture.strip().splitlines(), {0: ROOT / "wafer_viewer"}, {}
+    assert lines[0].startswith("wafer_viewer/")
+    for line in takewhile(lambda line: line.startswith(" "), lines[1:]):
+        if found := ROOM_OF_PICTURE.match(line):
+            indent, name, purpose = found.groups()
+            folder = folders[len(indent)] = folders[max(depth for depth in folders if depth < len(indent))] / name
+            purposes[folder] = purpose
+    rooms = {module.parent for module in MODULES} - {ROOT / "wafer_viewer"}
+    assert not [str(folder.relative_to(ROOT)) for folder in rooms ^ purposes.keys()], "in one of the two only"
+    assert not [folder for folder, purpose in purposes.items() if len(purpose.split()) < 2]
 
 
 def test_importing_the_package_pulls_in_nothing_heavy():
