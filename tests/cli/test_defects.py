@@ -37,11 +37,18 @@ def bumped(surface: HeightMap) -> HeightMap:
     return replace(surface, z_um=z, z_raw_um=z)
 
 
+def plain(surface: HeightMap) -> HeightMap:
+    """Without a pattern in heights or picture: a bare wafer, on which no dies are found."""
+    noise = np.random.default_rng(4).normal(0, 0.1, surface.z_um.shape).astype(np.float32)
+    return replace(surface, z_um=noise, z_raw_um=noise, all_in_focus=(100 + 10 * noise).astype(np.uint8))
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("wafers")
     write_npz(bumped(made(WAFER)), path / "bumped.npz")
     write_npz(made(WAFER, gap=Region.rectangle(700, 500, 1100, 900)), path / "gap.npz")
+    write_npz(bumped(plain(made(WAFER))), path / "plain.npz")
     return path
 
 
@@ -86,6 +93,16 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict["not_inspected"]
     assert "not clean" in verdict["why"][0]
+
+
+@pytest.mark.slow
+def test_dies_that_are_not_found_are_never_within_the_limits(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["measure", "defects", str(folder / "plain.npz"), "--max-per-die", "0"]) == 1
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert (verdict["word"], verdict["within"]) == ("no verdict", False)
+    assert "give the pitch and a corner of the dies" in verdict["why"][0]
+    assert main(["measure", "defects", str(folder / "plain.npz"), "--max-per-mm2", "1000"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"]["word"] == "pass"
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from tests.support.datasets.gauge_scans import CALIBRATION, CORNERS, RIG, scan_o
 from tests.support.gauge_repeats import record
 from tests.support.paths import ASSETS
 from wafer_viewer.cli.app import main
+from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.calibration.records import calibration_rows
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -158,6 +159,15 @@ def test_a_drift_out_of_the_limit_is_reported_with_status_1(tmp_path, reported):
     status, printed = reported("measure", "gauge", "--log", str(tmp_path))
     assert status == 1
     assert "before the next check is due" in printed["chart"]["warnings"][0]
+
+
+@pytest.mark.parametrize(("limit_um", "status"), [(0.5, 1), (None, 0)])
+def test_history_whose_last_check_failed_has_status_1(tmp_path, reported, limit_um, status):
+    sign(tmp_path, record("2026-06-01", 400.0, terms=GaugeTerms(limit_um=limit_um)))
+    sign(tmp_path, record("2026-06-02", 401.5, terms=GaugeTerms(limit_um=limit_um)))
+    found, printed = reported("measure", "gauge", "--log", str(tmp_path))
+    assert printed["chart"]["points"][-1]["verdict"] == ("fail" if limit_um else "no verdict")
+    assert (found, printed["chart"]["warnings"]) == (status, [])
 
 
 def test_a_history_of_nothing_is_refused(tmp_path, refused):

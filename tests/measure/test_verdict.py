@@ -14,6 +14,7 @@ from wafer_viewer.measure.verdict import (
     judge_dies,
     judge_features,
     next_action,
+    not_judged,
     on_stage,
     overall,
     scans_needed,
@@ -240,3 +241,11 @@ def test_a_step_in_the_older_words_is_the_same_feature():
     assert decode(encode(BLOCKS), Feature, "newer") == BLOCKS
     inliers = FeatureVerdict(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
     assert inliers.measured == Quantity(value=30.0, unit="um")
+
+
+def test_feature_without_a_place_or_a_die_has_no_verdict():
+    nowhere, without_dies = not_judged([DIE, BLOCKS, ON_A_DIE], None)
+    assert (nowhere.word, nowhere.why) == ("no verdict", "'die' has no place to be measured at: give it one.")
+    assert (without_dies.word, without_dies.feature) == ("no verdict", ON_A_DIE)
+    assert without_dies.why == "'pair' is measured on every die, and the job has none: name its dies."
+    assert not_judged([BLOCKS, ON_A_DIE], TWO_DIES) == ()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie
 
 
-BEYOND = 1
+NOT_PASSED = 1
 Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
 
 
@@ -58,8 +58,8 @@ def measure_defects(
 ) -> int:
     """The defects of a patterned wafer, each with size, height and class, as JSON; dies not scanned are named.
 
-    Status 0: within the limits; 1: beyond them, or dies were not or only partly scanned; 2: bad input. What people
-    judged a nuisance in the dataset does not count.
+    Status 0: within the limits; 1: any other verdict, also where dies were not found, or not or only partly scanned;
+    2: bad input. What people judged a nuisance in the dataset does not count.
 
     Args:
         src: A NAME.wafer or a surface file.
@@ -99,7 +99,7 @@ def measure_defects(
     verdict = verdict_of(inspection)
     summary = {"verdict": verdict, "files": files, "repeats": repeated_places(inspection), "inspection": inspection}
     print_json(msgspec.to_builtins(summary | _beside(other, wafer, inspection)))
-    return 0 if verdict.within else BEYOND
+    return 0 if verdict.within else NOT_PASSED
 
 
 def _recipe(

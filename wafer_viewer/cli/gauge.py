@@ -40,7 +40,7 @@ def measure_gauge(
     """Check the instrument against certified gauge blocks: error with U, En, verdict, as JSON. Stage um.
 
     Status 0 for PASS, 1 for any other verdict. Each SRC is a repeat, a scan of its own. Without SRC: the signed checks
-    of --log with their run chart and capability; status 1 where the chart warns.
+    of --log with their run chart and capability; status 1 where the chart warns, or the last did not pass its limit.
 
     Args:
         src: Datasets NAME.wafer or surface files, .npz.
@@ -68,7 +68,8 @@ def measure_gauge(
             raise MeasureError("There is nothing to check: give scans and --certificate, or --log for the history.")
         summary = history(log, serial, rig, terms.tolerance_um)
         print_json(msgspec.to_builtins(summary))
-        return 1 if summary.chart.warnings else 0
+        limited = summary.chart.limit_um is not None
+        return 1 if summary.chart.warnings or (limited and summary.chart.points[-1].verdict != "pass") else 0
     if certificate is None:
         raise MeasureError("There is no check without a certificate: give --certificate FILE.toml.")
     faces = _faces(upper, lower)

@@ -40,6 +40,20 @@ def judge_features(
     return tuple(judge_at(surface, feature, die, alignment, calibration_valid) for feature, die in places)
 
 
+def not_judged(features: Sequence[Feature], dies: Dies | None) -> tuple[FeatureVerdict, ...]:
+    """Return features that are measured nowhere, without a place or a die, each with the reason for no verdict."""
+    lacking = ((feature, _lacks(feature, dies)) for feature in features)
+    return tuple(FeatureVerdict(feature=feature, word="no verdict", why=why) for feature, why in lacking if why)
+
+
+def _lacks(feature: Feature, dies: Dies | None) -> str:
+    if not feature.has_place:
+        return f"'{feature.name}' has no place to be measured at: give it one."
+    if not any(True for _ in _dies_of(feature, dies)):
+        return f"'{feature.name}' is measured on every die, and the job has none: name its dies."
+    return ""
+
+
 def judge_at(
     surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
 ) -> FeatureVerdict:
@@ -160,11 +174,16 @@ def contradiction(verdict: WaferVerdict, job: Job) -> str | None:
         if item.feature not in job.features:
             return f"'{item.name}' has other limits or places than in the job"
         if item.measured is None:
+            if item.word != "no verdict":
+                return f"'{item.name}' is said to be {item.word}, and was not measured"
             continue
         if (fault := item.measured.contradiction) is not None:
             return f"'{item.name}': {fault}"
         if (word := judge(item.feature, item.measured).word) != item.word:
             return f"'{item.name}' is said to be {item.word}, and is {word} by its value and limits"
+    judged = {(item.feature.name, item.die) for item in verdict.items}
+    if missing := next((place for place in _expected(job) if place not in judged), None):
+        return f"'{missing[0]}'{f' on die {missing[1]}' if missing[1] else ''} of the job was not judged"
     if verdict.word != overall(verdict.items):
         return f"the wafer is said to be {verdict.word}, and is {overall(verdict.items)} by its features"
     if {die.name: die.word for die in verdict.dies} != {
@@ -172,6 +191,15 @@ def contradiction(verdict: WaferVerdict, job: Job) -> str | None:
     }:
         return "the words on its dies are not those of their features"
     return None
+
+
+def _expected(job: Job) -> Iterator[tuple[str, str]]:
+    """Yield feature name and die of everything that a verdict on a job names."""
+    for feature in job.features:
+        if _lacks(feature, job.dies):
+            yield feature.name, ""
+        else:
+            yield from ((feature.name, die.name if die else "") for die in _dies_of(feature, job.dies))
 
 
 def scans_needed(item: FeatureVerdict) -> int | None:

@@ -12,7 +12,8 @@ from tests.support.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
 from tests.support.surfaces import calibration
 from wafer_viewer.measure.defects.inspection import golden_of_surface, inspect
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.defect import Defect, DefectLimits, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.spec import replace
@@ -247,3 +248,13 @@ def test_a_die_that_a_job_names_is_a_defect_where_it_is_missing_at_the_rim() -> 
     of = wafer(6, (5, 5), (120, 140), no_die=((0, 0),))
     found = inspect(of.surface, of.grid, DULL)
     assert [d.die for d in found.found] == ["0,4"]
+
+
+def test_defect_has_its_die_where_few_dies_are_compared_with_the_form() -> None:
+    four = wafer(3, (2, 2), (120, 140), (Planted("bump", 200.0, 240.0, 30, 100),))
+    inspection = inspect(four.surface, four.grid, DULL)
+    bump = at(inspection, four.planted[0])
+    assert (inspection.reference, bump.die) == ("form", "1,0")
+    assert {die.name: die.defects for die in inspection.dies} == {"0,0": 0, "1,0": 1, "0,1": 0, "1,1": 0}
+    verdict = verdict_of(inspection, DefectLimits(max_per_die=0))
+    assert (verdict.word, verdict.failing) == ("fail", ("1,0",))

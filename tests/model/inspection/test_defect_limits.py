@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from tests.support.datasets.inspections import defect, inspection
+from tests.support.datasets.inspections import GRID, defect, inspection
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
+from wafer_viewer.model.spec import replace
 
 
 def test_dies_with_too_many_are_named():
@@ -46,3 +47,37 @@ def test_the_limits_of_the_recipe_hold_where_no_others_are_given():
     assert verdict_of(of_recipe).failing == ("0,1",)
     assert DefectLimits(max_per_mm2=1.0).over(strict) == DefectLimits(max_per_die=2, max_per_mm2=1.0)
     assert (strict.are_set, DefectLimits().are_set) == (True, False)
+
+
+def test_defects_per_die_have_no_verdict_where_no_die_is_known():
+    off_dies = replace(defect(1, "0,0", 5.0, 5.0), die="", in_die=None)
+    loose = inspection(grid=None, dies=(), defects=(off_dies,), reference="form")
+    verdict = verdict_of(loose, DefectLimits(max_per_die=0))
+    assert (verdict.word, verdict.within) == ("no verdict", False)
+    assert verdict.why == (
+        "No die is known, so defects per die were not counted: give the pitch and a corner of the dies, or limit the "
+        "defects per mm2.",
+    )
+    assert verdict_of(loose, DefectLimits(max_per_mm2=9.0)).word == "pass"
+    assert verdict_of(loose, DefectLimits(max_per_die=0, max_per_mm2=0.1)).word == "fail"
+
+
+def test_density_is_not_judged_where_no_area_was_inspected():
+    verdict = verdict_of(inspection(inspected_mm2=0.0), DefectLimits(max_per_mm2=9.0))
+    assert (verdict.word, verdict.why) == ("no verdict", ("Nothing was inspected.",))
+
+
+def test_named_die_of_which_a_part_lies_beyond_the_scan_is_not_within():
+    found = inspection(states={"2,1": "cut"})
+    half = tuple(replace(die, measured_fraction=0.6) if die.name == "2,1" else die for die in found.dies)
+    verdict = verdict_of(replace(found, dies=half), DefectLimits(max_per_die=3))
+    assert (verdict.word, verdict.not_inspected) == ("no verdict", ("2,1",))
+    at_a_rim = replace(found, dies=half, grid=replace(GRID, named=False))
+    assert verdict_of(at_a_rim, DefectLimits(max_per_die=3)).word == "pass"
+    assert verdict_of(found, DefectLimits(max_per_die=3)).word == "pass"
+
+
+def test_too_many_defects_fail_even_where_other_dies_were_not_scanned():
+    found = inspection(defect(1, "0,0", 5.0, 5.0), states={"1,1": "not scanned"})
+    assert verdict_of(found, DefectLimits(max_per_die=0)).word == "fail"
+    assert verdict_of(found, DefectLimits(max_per_die=1)).word == "no verdict"

@@ -47,6 +47,15 @@ def smaller_u(verdict):
     verdict["items"][0]["measured"]["expanded"] /= 10
 
 
+def no_item(verdict):
+    verdict["items"].clear()
+    verdict["word"] = "no verdict"
+
+
+def item_without_a_value(verdict):
+    del verdict["items"][0]["measured"]
+
+
 def limits(verdict):
     verdict["items"][0]["feature"]["upper_limit"] = 99.0
 
@@ -58,6 +67,8 @@ def limits(verdict):
         (word, "'die over street' is said to be fail, and is pass by its value and limits"),
         (wafer_word, "the wafer is said to be fail, and is pass by its features"),
         (smaller_u, "'die over street': U is said to be 0."),
+        (no_item, "'die over street' of the job was not judged"),
+        (item_without_a_value, "'die over street' is said to be pass, and was not measured"),
         (limits, "'die over street' has other limits or places than in the job"),
     ],
 )

@@ -9,13 +9,15 @@ from types import SimpleNamespace
 import pytest
 
 from tests.browser.sessions import operator_session as day
+from tests.support.datasets.judged_datasets import RESULT, STEP, judged_dataset, released_job
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning import verdicts as module
-from wafer_viewer.session.planning.verdicts import Judge
+from wafer_viewer.session.planning.verdicts import Judge, stored_verdict
 from wafer_viewer.session.state.snapshot import Operating, Work
+from wafer_viewer.store.dataset.dataset import Dataset
 
 STITCHING = (Work("w1", "Stitching the fields"),)
 PATIENCE_S = 20.0
@@ -105,3 +107,12 @@ def test_without_a_feature_nothing_is_judged(command_queue, verdicts):
     change(command_queue, works=())
     assert verdicts.n == 0
     assert command_queue.now.operating == Operating()
+
+
+def test_wafer_with_a_feature_that_has_no_place_does_not_pass(tmp_path):
+    job = replace(released_job(), released=False, features=(STEP, replace(STEP, name="frame", places=())))
+    data = Dataset.open(judged_dataset(tmp_path / "W1.wafer", 12.0, job))
+    verdict = stored_verdict(data, data.result(RESULT))
+    assert verdict is not None
+    assert [(item.name, item.word) for item in verdict.items] == [("die over street", "pass"), ("frame", "no verdict")]
+    assert (verdict.word, verdict.next) == ("no verdict", "'frame' has no place to be measured at: give it one.")

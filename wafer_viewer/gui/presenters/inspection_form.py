@@ -40,10 +40,14 @@ def verdict(inspection: Inspection) -> Markup:
     if not limits.are_set:
         return Markup()
     outcome = verdict_of(inspection, limits)
-    if outcome.within:
-        note = html.note("good", "Within the limits", f"{outcome.counted} counted, {_allowed(limits)} allowed.")
-    else:
-        note = html.note("fault", "Not within the limits", " ".join(outcome.why).replace("mm2", "mm²"))
+    reasons = " ".join(outcome.why).replace("mm2", "mm²")
+    match outcome.word:
+        case "pass":
+            note = html.note("good", "Within the limits", f"{outcome.counted} counted, {_allowed(limits)} allowed.")
+        case "fail":
+            note = html.note("fault", "Not within the limits", reasons)
+        case _:
+            note = html.note("fault", "No verdict: not all was inspected", reasons)
     return Markup('<div class="wv-blind">{}</div>').format(note)
 
 

@@ -22,6 +22,7 @@ from wafer_viewer.measure.defects.segmentation import DefectPiece, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe
 from wafer_viewer.model.inspection.defect_classes import DefectShape
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
@@ -52,14 +53,15 @@ def defect_of(
         found = classify(replace(shape, unmeasured_fraction=0.0), recipe.rules)
     resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um
     narrow = _narrow(reading, outline) if height_um else ()
+    center = Point(x_um=outline.x_um, y_um=outline.y_um)
     return Defect(
         **reading.result_fields("", 0, *_notes(reading, resolved), *narrow, *((UNSEEN,) if unseen else ())),
-        center=Point(x_um=outline.x_um, y_um=outline.y_um),
+        center=center,
         outline=_region(outline, cells.pixel_um),
         kind=found.kind,
         reasons=found.reasons,
         confidence=confidence(merged.first.score, recipe, found.confidence),
-        **_place(outline, cells, on_dies),
+        **(_place(center, cells.grid) if on_dies else {}),
         **_sizes(merged, inside, outline, height_um, cells.pixel_um, reading, resolved, not narrow),
         mean_height_um=shape.mean_height_um,
         angle_deg=outline.angle_deg,
@@ -91,13 +93,17 @@ def _direction(angle_deg: float) -> tuple[float, float]:
     return math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
 
 
-def _place(outline: DefectOutline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
+def on_lattice(defects: Sequence[Defect], grid: DieGrid) -> tuple[Defect, ...]:
+    """Return defects that were found without dies with the die that each lies on, if any."""
+    names = {grid.name(*place) for place in grid.places}
+    placed = (replace(defect, **_place(defect.center, grid)) for defect in defects)
+    return tuple(new if new.die in names else old for new, old in zip(placed, defects, strict=True))
+
+
+def _place(center: Point, grid: DieGrid) -> dict[str, Any]:
     """Return the die and the position on it."""
-    if not on_dies:
-        return {"die": "", "in_die": None}
-    x_um, y_um = np.array([outline.x_um]), np.array([outline.y_um])
-    col, row, u_um, v_um = (a.item() for a in cells.grid.to_die(x_um, y_um))
-    return {"die": cells.grid.name(int(col), int(row)), "in_die": Point(x_um=float(u_um), y_um=float(v_um))}
+    col, row, u_um, v_um = (a.item() for a in grid.to_die(np.array([center.x_um]), np.array([center.y_um])))
+    return {"die": grid.name(int(col), int(row)), "in_die": Point(x_um=float(u_um), y_um=float(v_um))}
 
 
 def _sizes(

@@ -22,7 +22,7 @@ from wafer_viewer.measure.defects.cell_comparison import (
     estimate_noise,
     estimate_plainness,
 )
-from wafer_viewer.measure.defects.defect_builder import defect_of, mark_repeaters, whole_die_defects
+from wafer_viewer.measure.defects.defect_builder import defect_of, mark_repeaters, on_lattice, whole_die_defects
 from wafer_viewer.measure.defects.golden_die import (
     REGISTRATION,
     ReferenceDie,
@@ -173,6 +173,8 @@ def inspect(
     _require_likeness(results, golden)
     whole_dies = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
     defects = _defects(results, whole_dies, work, reading)
+    if grid is not None and not work.on_dies:
+        defects = on_lattice(defects, grid)
     if reference == "golden":
         defects = mark_repeaters(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
     notes = (*notes, *_of_the_rim(grid, on_dies), *notes_on(recipe.excluded, work.excluded, work.on_dies))

@@ -6,6 +6,8 @@ from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectLimits, Inspection
+from wafer_viewer.model.inspection.die_grid import LEAST_KNOWN, DieStatus
+from wafer_viewer.model.quantity import Word
 from wafer_viewer.model.spec import NonNegative, Spec
 
 LEAST_GAP = 0.02
@@ -13,13 +15,15 @@ LEAST_GAP = 0.02
 
 
 class DefectVerdict(Spec, frozen=True, kw_only=True):
-    """Verdict on an inspected wafer, with the reasons for a failure.
+    """Verdict on an inspected wafer, with the reasons for any word but pass.
 
-    counted: defects without those judged a nuisance; failing: dies with more defects than permitted; not_inspected:
-    dies that are not or not fully scanned, which are never clean.
+    word: fail where a limit is exceeded, no verdict where anything that the limits cover was not inspected, else pass;
+    within: True for pass alone; counted: defects without those judged a nuisance; failing: dies with more defects than
+    permitted; not_inspected: dies that are not or not fully scanned, which are never clean.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
+    word: Word
     within: bool
     counted: int
     per_mm2: NonNegative | None
@@ -41,35 +45,41 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     Returns
     -------
     DefectVerdict
-        Whether the wafer is within the limits, with the counted defects, their number per mm2 (None if nothing was
-        inspected), the failing dies, the dies that were not inspected, and the reasons for a failure.
+        The word and whether the wafer is within the limits, with the counted defects, their number per mm2 (None if
+        nothing was inspected), the failing dies, the dies that were not inspected, and the reasons.
 
     Notes
     -----
-    Defects judged a nuisance, and unmeasured areas, are not counted. A wafer on which nothing was inspected is not
-    within limits, nor is one with dies that were not or only partly scanned. Without dies, a surface whose unscanned
-    area is over 2 % of its scanned area is not within limits.
+    Defects judged a nuisance, and unmeasured areas, are not counted. An open limit is never exceeded. A wafer on which
+    nothing was inspected has no verdict, nor has one with dies that were not or only partly scanned, or one without
+    known dies under a limit per die. Without dies, a surface whose unscanned area is over 2 % of its scanned area has
+    no verdict. A limit that is exceeded on what was inspected fails the wafer all the same.
     """
     limits = inspection.recipe.limits if limits is None else limits
     counted = [defect for defect in inspection.found if defect.judgement != "nuisance"]
     area_mm2 = inspection.inspected_mm2
     per_mm2 = len(counted) / area_mm2 if area_mm2 else None
     failing = _failing(counted, limits)
-    lacking = tuple(die.name for die in inspection.dies if die.state in ("partly scanned", "not scanned"))
-    why = (
-        *_too_many(failing, limits),
-        *_too_dense(per_mm2, limits),
-        *_not_looked_at(lacking, per_mm2),
-        *_gaps(inspection),
-    )
+    lacking = tuple(die.name for die in inspection.dies if _lacks_area(die, inspection))
+    exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits))
+    undecided = (*_not_inspected(lacking, per_mm2), *_gaps(inspection), *_not_countable(inspection, limits))
+    word: Word = "fail" if exceeded else "no verdict" if undecided else "pass"
     return DefectVerdict(
-        within=not why,
+        word=word,
+        within=word == "pass",
         counted=len(counted),
         per_mm2=per_mm2,
         failing=failing,
         not_inspected=lacking,
-        why=why,
+        why=(*exceeded, *undecided),
     )
+
+
+def _lacks_area(die: DieStatus, inspection: Inspection) -> bool:
+    """Return whether a part of a die was not scanned; the rim of a lattice that names no dies may cut them."""
+    named = inspection.grid is not None and inspection.grid.named
+    beyond = named and die.state == "cut" and die.measured_fraction < LEAST_KNOWN
+    return beyond or die.state in ("partly scanned", "not scanned")
 
 
 def _failing(counted: list[Defect], limits: DefectLimits) -> tuple[str, ...]:
@@ -93,10 +103,20 @@ def _too_dense(per_mm2: float | None, limits: DefectLimits) -> tuple[str, ...]:
     return (f"{per_mm2:.3g} defects per mm2, and {limits.max_per_mm2:g} are allowed.",)
 
 
-def _not_looked_at(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str, ...]:
+def _not_inspected(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str, ...]:
     if per_mm2 is None:
         return ("Nothing was inspected.",)
     return (f"Not or only partly scanned, so not clean: {_listed(lacking)}.",) if lacking else ()
+
+
+def _not_countable(inspection: Inspection, limits: DefectLimits) -> tuple[str, ...]:
+    """Return a sentence on a limit per die where no die is known."""
+    if limits.max_per_die is None or inspection.dies:
+        return ()
+    return (
+        "No die is known, so defects per die were not counted: give the pitch and a corner of the dies, or limit the "
+        "defects per mm2.",
+    )
 
 
 def _gaps(inspection: Inspection) -> tuple[str, ...]:

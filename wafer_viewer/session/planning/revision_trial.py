@@ -209,7 +209,7 @@ def _judged_before(data: Dataset, result: str) -> _Before:
 
 def _judged_now(data: Dataset, job: Job, before: _Before, stored: Result, remade: bool) -> Iterator[FeatureVerdict]:
     """Yield the verdict of every feature by the new job, from the stored value if it still applies, else remeasured."""
-    from wafer_viewer.measure.verdict import judge, judge_at
+    from wafer_viewer.measure.verdict import judge, judge_at, not_judged
     from wafer_viewer.model.spec import replace
 
     surface = stored.mosaic() if remade else before.surface
@@ -220,6 +220,7 @@ def _judged_now(data: Dataset, job: Job, before: _Before, stored: Result, remade
             yield replace(judge(feature, then.measured), die=then.die, not_evaluated=then.not_evaluated)
         else:
             yield judge_at(surface, feature, die, alignment, _calibrated(data))
+    yield from not_judged(job.features, job.dies)
 
 
 def _same_number(then: FeatureVerdict, before: _Before, feature: Feature, die: Die | None) -> bool:

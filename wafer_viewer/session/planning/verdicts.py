@@ -94,7 +94,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
     Raises MeasureError if the job has no feature with a place, DatasetError without a stitched surface.
     """
-    from wafer_viewer.measure.verdict import judge_dies, judge_features, next_action, overall
+    from wafer_viewer.measure.verdict import judge_dies, judge_features, next_action, not_judged, overall
     from wafer_viewer.store.records.manifest import save_record
 
     job, mosaic = data.scan.job, result.mosaic()
@@ -102,7 +102,8 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     if (stored := stored_verdict(data, result)) is not None:
         return stored
     calibrated = data.calibration_problem(today()) is None
-    items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)
+    judged = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)
+    items = (*judged, *not_judged(job.features, job.dies))
     verdict = WaferVerdict(
         word=overall(items),
         next=next_action(items),

@@ -327,7 +327,9 @@ def _held(inspection: Inspection) -> str:
     if not inspection.recipe.limits.are_set:
         return "none set"
     verdict = verdict_of(inspection)
-    return f"within, {verdict.counted} counted" if verdict.within else " ".join(("not within.", *verdict.why))
+    if verdict.word == "pass":
+        return f"within, {verdict.counted} counted"
+    return " ".join(("not within." if verdict.word == "fail" else "no verdict, not all was inspected.", *verdict.why))
 
 
 def _row(defect: Defect) -> tuple[str, ...]:
