@@ -4,6 +4,7 @@
 #   bash tests/run.sh          lint, types, layers and all tests, those in the browser too
 #   bash tests/run.sh fast     lint, types, layers and the fast tests
 #   bash tests/run.sh lint     lint, types and layers
+#   bash tests/run.sh campaigns [FILE ...]   all cases of the long campaigns, and their table in the documentation
 #   bash tests/run.sh bench    the quick run of every benchmark
 #   bash tests/run.sh pythons  install the wheel on every Python that it is for and that is here, and try it
 #   bash tests/run.sh setup    only the set-up
@@ -12,8 +13,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 what="${1:-all}"
-case "$what" in all | fast | lint | bench | setup | pythons) ;; *)
-  echo "There is no part '$what': choose all, fast, lint, bench, setup or pythons." >&2
+case "$what" in all | fast | lint | campaigns | bench | setup | pythons) ;; *)
+  echo "There is no part '$what': choose all, fast, lint, campaigns, bench, setup or pythons." >&2
   exit 2
   ;;
 esac
@@ -133,6 +134,26 @@ run_tests() {
   "$bin/python" -m pytest -q --durations=25 --no-loadscope-reorder "$@"
 }
 
+# All cases of one kind of campaigns. What failed is in the results; a kind without tests ends with 5.
+run_campaigns() {
+  local results="$1" kind="$2" ended=0
+  shift 2
+  WAFER_VIEWER_CAMPAIGNS=all run_tests -m "campaign and not hardware and $kind" -o junit_family=xunit1 \
+    --junit-xml "$results/${kind// /_}.xml" "$@" || ended=$?
+  case "$ended" in 0 | 1 | 5) ;; *) return "$ended" ;; esac
+}
+
+# Of the given files, or all: two at a time, then those that need the machine for themselves, then the page.
+all_campaigns() {
+  local results
+  results="$(mktemp -d)"
+  run_campaigns "$results" "not real_time and not browser" -n 2 --dist loadfile "$@"
+  run_campaigns "$results" "real_time" "$@"
+  run_campaigns "$results" "browser and not real_time" -n 2 --dist loadfile "$@"
+  "$bin/python" tests/campaign_table.py "$results"/*.xml
+  rm -r "$results"
+}
+
 # The modules of the Python API, where whatever a function raises itself is to be documented too.
 check_docstrings() {
   local modules
@@ -219,6 +240,7 @@ if [ "$what" = all ]; then
   step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
   step "Browser tests" run_tests -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser
 fi
+if [ "$what" = campaigns ]; then step "Campaigns" all_campaigns "${@:2}"; fi
 if [ "$what" = bench ]; then step "Benchmarks, quick runs" quick_benchmarks; fi
 if [ ${#missing[@]} -gt 0 ]; then
   echo "Could not install: ${missing[*]}. What needs it was reported as skipped or failed above." >&2
