@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.measurements import MeasurementResult
+from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
 from wafer_viewer.model.quantity import Length, Unit, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
@@ -195,18 +196,18 @@ class GaugeCheck(MeasurementResult, frozen=True, kw_only=True, tag="gauge_check"
     upper: Region
     lower: Region
     height: Length
-    reference: Length
-    deviation: Length
-    s_um: NonNegative | None = None
+    reference: Annotated[Length, Label("Certificate at this temperature")]
+    deviation: Annotated[Length, Label("Error", signed=True)]
+    s_um: Annotated[NonNegative | None, Label("s")] = None
     range_um: NonNegative | None = None
-    en: float | None = None
-    verdict: Word
-    why: str
-    en_why: str = ""
-    budget: tuple[GaugeLine, ...] = ()
-    not_evaluated: tuple[str, ...] = ()
+    en: Annotated[float | None, Label("En")] = None
+    verdict: Annotated[Word, UNLISTED]
+    why: Annotated[str, UNLISTED]
+    en_why: Annotated[str, Label("What En says")] = ""
+    budget: Annotated[tuple[GaugeLine, ...], UNLISTED] = ()
+    not_evaluated: Annotated[tuple[str, ...], UNLISTED] = ()
     signed_by: str = ""
-    at: str = ""
+    at: Annotated[str, Label("Signed at")] = ""
 
     @property
     def n(self) -> int:

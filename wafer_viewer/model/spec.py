@@ -190,7 +190,7 @@ def _checks(kind: type[Spec]) -> tuple[tuple[str, Check], ...]:
 
 def _check_of(hint: Any) -> Check:
     limit = next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Within)), None)
-    plain = hint.__origin__ if limit is not None else hint
+    plain = hint.__origin__ if typing.get_origin(hint) is Annotated else hint
     of_type = _type_check(plain)
     if limit is None:
         return of_type

@@ -7,6 +7,7 @@ from markupsafe import escape
 
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.shaped_session import ShapedSession
+from wafer_viewer.draw.quantities import value_texts
 from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.provenance import ZERO, source
 from wafer_viewer.gui.presenters.results import bounds_of
@@ -14,6 +15,7 @@ from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outl
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.levelling import PLACES, Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.result_rows import labels_of
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, TOOLS
 from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
@@ -66,7 +68,15 @@ def found() -> dict[ToolName, AnyResult]:
     ],
 )
 def test_quantities_read_in_units_of_their_size_with_u_to_two_figures(value, unit, expanded, said):
-    assert words.value_texts(Quantity(value=value, unit=unit, expanded=expanded)) == said
+    assert value_texts(Quantity(value=value, unit=unit, expanded=expanded)) == said
+
+
+@pytest.mark.parametrize("tool", list(TOOLS))
+def test_every_quantity_of_a_result_is_shown(tool, found):
+    text = words.numbers(found[tool])
+    others = {name: one for name, one in found[tool].quantities.items() if name != found[tool].main_field}
+    titles = labels_of(type(found[tool]))
+    assert [name for name in others if titles[name].title not in text] == []
 
 
 def test_a_budget_stands_in_the_unit_of_its_answer():

@@ -9,7 +9,9 @@ import pytest
 
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measurements import MeasurementResult
+from wafer_viewer.model.measurement.result_rows import labels_of
 from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import Length, Quantity
 
 RESULTS = typing.get_args(AnyResult)
 
@@ -22,7 +24,15 @@ def test_every_result_names_the_fields_with_its_regions(kind):
 
 @pytest.mark.parametrize("kind", RESULTS, ids=lambda kind: kind.__name__)
 def test_the_main_quantity_of_every_result_is_one_of_its_fields(kind):
-    assert {kind.__annotations__[name] for name in kind.main_fields} <= {"Length", "Quantity"}
+    hints = typing.get_type_hints(kind)
+    assert {hints[name] for name in kind.main_fields} <= {Length, Quantity}
+
+
+@pytest.mark.parametrize("kind", RESULTS, ids=lambda kind: kind.__name__)
+def test_every_field_of_a_result_has_a_title_of_its_own(kind):
+    titles = [label.title for label in labels_of(kind).values() if label.listed]
+    assert all(titles)
+    assert len(set(titles)) == len(titles)
 
 
 def test_a_tool_is_refused_whose_result_names_no_main_quantity():

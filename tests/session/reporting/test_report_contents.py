@@ -20,8 +20,8 @@ from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.measurement.measurement_numbers import numbers_of
 from wafer_viewer.session.reporting.report import make_report, report_of
+from wafer_viewer.session.reporting.report_data import numbers_of
 from wafer_viewer.store.dataset import integrity
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import digests_of_result

@@ -16,12 +16,12 @@ from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html
 from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
 from wafer_viewer.draw.number_format import length_text, number, round_length, tick_digits, ticks, with_unit
+from wafer_viewer.draw.quantities import format_quantity
 from wafer_viewer.gui.overlays.hud import OverScene, SheetRoom
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import BottomPanel
 from wafer_viewer.gui.page.preconditions import no_defect
 from wafer_viewer.gui.presenters.defects import DefectCut, chosen_defect, cut_through
-from wafer_viewer.gui.presenters.measurement import format_quantity
 from wafer_viewer.gui.presenters.review import neighbour
 from wafer_viewer.gui.state.view_state import OF_DEFECT, View
 from wafer_viewer.gui.tools.region_shapes import outline_of

@@ -27,8 +27,8 @@ from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.sample import Marks
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
+from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.session.measurement.measurement_numbers import title_of
 from wafer_viewer.session.state.snapshot import Snapshot
 
 
@@ -105,7 +105,8 @@ def _features(job: Job) -> Markup:
 
 def _feature(n: int, feature: Feature, released: bool) -> Markup:
     where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
-    what = " · ".join(part for part in (TOOLS[feature.tool].title, title_of(feature.quantity)) if part)
+    tool = TOOLS[feature.tool]
+    what = " · ".join(part for part in (tool.title, title_of(tool.result, feature.quantity)) if part)
     name = Markup("{name}<small>{what}{where}<br>{rules}</small>").format(
         name=feature.name, what=what, where=where, rules=RULES[feature.decision_rule]
     )

@@ -18,7 +18,7 @@ from wafer_viewer.draw.charts.die_map import DieFill, die_shapes, fills_by_count
 from wafer_viewer.draw.charts.symbols import symbol, symbol_svg
 from wafer_viewer.draw.charts.wafer_map import MapViewport, Outline
 from wafer_viewer.draw.number_format import number, with_unit
-from wafer_viewer.gui.presenters.measurement import value_texts
+from wafer_viewer.draw.quantities import value_texts
 from wafer_viewer.gui.presenters.results import bounds_of
 from wafer_viewer.gui.presenters.review_item import VERDICT_LOOKS, ReviewItem, Row
 from wafer_viewer.gui.state.view_state import OF_DEFECT, SORTS, DefectListing, MapBy, ReviewFilter, listed

@@ -12,7 +12,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
-from wafer_viewer.gui.presenters.measurement import UNIT_SIGNS
+from wafer_viewer.draw.quantities import UNIT_SIGNS
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.gauge import (

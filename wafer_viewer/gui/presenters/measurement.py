@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.die_map import site_map_svg, spread_um
 from wafer_viewer.draw.charts.profile_plot import groove_svg
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
-from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, share, with_unit
+from wafer_viewer.draw.quantities import (
+    NO_U,
+    display_unit,
+    place_text,
+    row_text,
+    short_text,
+    value_texts,
+    with_unit_sign,
+)
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
@@ -20,68 +29,25 @@ from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measurements import (
     AreaVolume,
     Chipping,
-    CircleSize,
     Coplanarity,
-    DieSize,
-    KerfWidth,
+    FaceAngle,
     Profile,
-    Roughness,
     Site,
     SiteRanges,
     StepHeight,
     StepProfile,
-    Texture,
 )
+from wafer_viewer.model.measurement.result_rows import Row, rows
 from wafer_viewer.model.measurement.sections import LETTERS, Gap, Section
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
-from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"
-NO_U = {"not evaluated": "U not evaluated", "uncalibrated": "uncalibrated"}
 _OTHER_LETTERS: dict[type[AnyResult], str] = {GaugeCheck: "G", Defect: "D"}
 """Symbols of results that no tool makes."""
-UNIT_SIGNS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
-_LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
-"""Display units by quantity unit: (smallest value, factor, unit sign), largest first."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReadValue:
-    """Display unit of a quantity: factor from the quantity's own unit, and unit sign."""
-
-    factor: float
-    unit: str
-
-
-def display_unit(quantity: Quantity) -> ReadValue:
-    """Return the display unit: nl or pl for volumes, mm² for large areas, else the unit of measurement."""
-    for least, factor, unit in _LARGER.get(quantity.unit, ()):
-        if abs(quantity.value) >= least:
-            return ReadValue(factor, unit)
-    return ReadValue(1.0, UNIT_SIGNS[quantity.unit])
-
-
-def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, str]:
-    """Return value, U to two significant digits (a dash if there is none) and unit, as texts."""
-    read = display_unit(quantity)
-    expanded = None if quantity.expanded is None else quantity.expanded * read.factor
-    digits = _plain_digits(quantity) if read.factor == 1 else _digits(quantity.value * read.factor)
-    value, u = value_and_u(quantity.value * read.factor, expanded, digits, signed=signed)
-    return value, u, read.unit
-
-
-def format_quantity(quantity: Quantity, *, signed: bool = False) -> str:
-    """Format value, U and unit in one line: ``11.86 ± 0.31 µm``."""
-    value, u, unit = value_texts(quantity, signed=signed)
-    return with_unit_sign(f"{value} ± {u}" if quantity.expanded is not None else value, unit)
-
-
-def with_unit_sign(text: str, unit: str) -> str:
-    """Join a number and its unit, without a space before the degree sign."""
-    return f"{text}{unit}" if unit == "°" else f"{text}\u202f{unit}"
 
 
 def symbol(finding: AnyResult) -> str:
@@ -147,11 +113,11 @@ def budget(quantity: Quantity) -> Markup:
     read = display_unit(quantity)
     digits = max(3, digits_of_u(quantity.expanded * read.factor) + 1)
     lines = [(line.name[:1].upper() + line.name[1:], line.u * read.factor) for line in quantity.budget]
-    rows = [html.row([name, number(u, digits)], " n") for name, u in lines]
+    table = [html.row([name, number(u, digits)], " n") for name, u in lines]
     combined = math.sqrt(sum(u**2 for _, u in lines))
     total = f"{number(combined, digits)} · {number(2 * combined, digits)}"
-    rows.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
-    return html.head("Uncertainty", f"{read.unit}, k = 1") + html.table([], rows, " n")
+    table.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
+    return html.head("Uncertainty", f"{read.unit}, k = 1") + html.table([], table, " n")
 
 
 def averaging(profile: Profile | StepProfile) -> str:
@@ -159,144 +125,68 @@ def averaging(profile: Profile | StepProfile) -> str:
     return with_unit(profile.line.width_um, 1) if profile.line.width_um else "one pixel"
 
 
-def _plain_digits(quantity: Quantity) -> int:
-    """Return the decimals of a value in its own unit: 2, or up to 4 (three digits) for lengths under 1 µm."""
-    small = quantity.unit == "um" and 0 < abs(quantity.value) < 1
-    return min(4, max(2, _digits(quantity.value) - 1)) if small else 2
-
-
-def _digits(value: float) -> int:
-    """Return the decimals that show a value without U to four digits."""
-    return max(0, 3 - math.floor(math.log10(abs(value)))) if value else 2
-
-
 def _is_signed(finding: AnyResult) -> bool:
     tool = TOOL_OF_RESULT.get(type(finding))
     return tool.signed if tool is not None else True
 
 
-LISTED = 8
-"""Number of chips or bumps listed, the worst first."""
+LISTED, MOST_SITES_LISTED = 8, 12
+"""Number of chips or bumps listed, the worst first; of sites listed, the largest ranges first."""
+COLUMNS = 3
+"""Grouped numbers side by side."""
+LONGEST_CELL = 40
+"""Letters of a text that stands beside its label; a longer one stands below."""
 
 
-def kerf(finding: KerfWidth) -> Markup:
-    """Return extreme widths, angle between the edges, and edge points of a kerf."""
-    return html.pairs(
-        [
-            ("Narrowest", format_quantity(finding.narrowest.quantity)),
-            ("Widest", format_quantity(finding.widest.quantity)),
-            ("Angle between the edges", format_quantity(finding.angle)),
-            ("Kerf on the picture", finding.kerf),
-            ("Edge points", number(finding.points, 0)),
-        ]
-    )
+def numbers(finding: AnyResult) -> Markup:
+    """Return all numbers of a result but the main one: what its kind draws, rows, groups and sentences."""
+    draw, drawn = _DRAWINGS.get(type(finding), (None, frozenset()))
+    given = [row for row in rows(finding, drawn | {finding.main_field}) if not row.has_settings]
+    texts = [(row, row_text(row)) for row in given if not row.label.group]
+    pairs = [(row.label.title, text) for row, text in texts if len(text) <= LONGEST_CELL]
+    sentences = [text for _, text in texts if len(text) > LONGEST_CELL]
+    below = Markup("").join(small(text) for text in sentences)
+    drawing = draw(finding) if draw is not None else Markup()
+    return _grouped(rows(finding)) + drawing + html.pairs(pairs) + below
 
 
-def die(finding: DieSize) -> Markup:
-    """Return size, rotation, squareness and centre of a die."""
-    return html.pairs(
-        [
-            ("Width", format_quantity(finding.width.quantity)),
-            ("Height", format_quantity(finding.height.quantity)),
-            ("Rotation", format_quantity(finding.rotation, signed=True)),
-            ("Squareness, angle over 90°", format_quantity(finding.squareness, signed=True)),
-            ("Centre x, y", _place(finding.center)),
-            ("Rim on the picture", finding.die),
-            ("Edge points", number(finding.points, 0)),
-        ]
-    )
-
-
-def circle(finding: CircleSize) -> Markup:
-    """Return radius, roundness and centre of a circle."""
-    return html.pairs(
-        [
-            ("Radius", format_quantity(finding.radius.quantity)),
-            ("Roundness RONt", format_quantity(finding.roundness.quantity)),
-            ("Centre x, y", _place(finding.center)),
-            ("Inside on the picture", finding.inside),
-            ("Edge points", number(finding.points, 0)),
-        ]
-    )
-
-
-def chipping(finding: Chipping) -> Markup:
-    """Return chip threshold, totals over all chips, and a table of the worst."""
-    table = html.pairs(
-        [
-            ("Deeper than", with_unit(finding.limit_um)),
-            ("Chips", number(finding.n_chips, 0)),
-            ("Their area", format_quantity(finding.area)),
-            ("Longest", format_quantity(finding.longest.quantity)),
-            ("Share of the edge chipped", share(finding.chipped_fraction)),
-            ("Length of the edge", with_unit(finding.edge_length_um, 1)),
-            ("Die on the", f"{finding.die} side"),
-        ]
-    )
+def chips(finding: Chipping) -> Markup:
+    """Return a table of the worst chips."""
     if not finding.chips:
-        return table
-    rows = [
-        html.row(
-            [_place(chip.place), number(chip.depth_um), number(chip.length_um, 1), number(chip.area_um2, 1)], " nnn"
-        )
+        return Markup()
+    cells = (
+        [place_text(chip.place), number(chip.depth_um), number(chip.length_um, 1), number(chip.area_um2, 1)]
         for chip in finding.chips[:LISTED]
-    ]
-    return table + html.table(["Chip at x, y", "Depth", "Length", "Area"], rows, " nnn") + _more(finding.n_chips)
+    )
+    lines = [html.row(chip, " nnn") for chip in cells]
+    return html.table(["Chip at x, y", "Depth", "Length", "Area"], lines, " nnn") + _more(finding.n_chips)
 
 
-def coplanarity(finding: Coplanarity) -> Markup:
-    """Return statistics of all bumps, and a table of those furthest from the plane."""
-    reference = {"least_squares": "least squares", "seating": "seating plane"}[finding.options.reference]
-    table = html.pairs(
+def bumps(finding: Coplanarity) -> Markup:
+    """Return a table of the bumps furthest from the plane."""
+    cells = (
         [
-            ("Plane", reference),
-            ("Bumps", number(finding.n_bumps, 0)),
-            *([("Left out, cut or not measured", number(finding.left_out, 0))] if finding.left_out else []),
-            ("Mean height", format_quantity(finding.mean_height.quantity)),
-            ("Range of heights", format_quantity(finding.height_range.quantity)),
-            ("Tilt of the plane", with_unit(finding.tilt_mrad, 2, "mrad")),
+            place_text(bump.place),
+            number(bump.deviation.value_um, 2, signed=True),
+            number(bump.height.value_um),
+            number(bump.diameter_um, 1),
         ]
-    )
-    rows = [
-        html.row(
-            [
-                _place(bump.place),
-                number(bump.deviation.value_um, 2, signed=True),
-                number(bump.height.value_um),
-                number(bump.diameter_um, 1),
-            ],
-            " nnn",
-        )
         for bump in finding.bumps[:LISTED]
-    ]
-    return (
-        table + html.table(["Bump at x, y", "Off plane", "Height", "Diameter"], rows, " nnn") + _more(finding.n_bumps)
     )
-
-
-def _place(place: Point) -> str:
-    return f"{number(place.x_um, 1)}, {number(place.y_um, 1)}"
+    lines = [html.row(bump, " nnn") for bump in cells]
+    return html.table(["Bump at x, y", "Off plane", "Height", "Diameter"], lines, " nnn") + _more(finding.n_bumps)
 
 
 def _more(count: int) -> Markup:
-    if count <= LISTED:
-        return Markup()
-    text = f"The worst {LISTED} of {count}; all are in the exported table."
-    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(text)
-
-
-MOST_ROWS = 12
-"""Number of sites listed, the largest ranges first; the map shows all."""
+    return small(f"The worst {LISTED} of {count}; all are in the exported table.") if count > LISTED else Markup()
 
 
 def sites(ranges: SiteRanges) -> Markup:
     """Return the map with its colour scale, and the table of the largest ranges."""
-    n, measured = len(ranges.sites), [site for site in ranges.sites if site.range is not None]
-    size = f"{number(ranges.site_width_um, 1)} × {number(ranges.site_height_um, 1)}{THIN}µm"
-    pairs = [("Sites, columns × rows", f"{ranges.cols} × {ranges.rows}"), ("Size of a site", size)]
-    if len(measured) < n:
-        pairs.append(("Without a range", f"{n - len(measured)} of {n}"))
-    return html.pairs(pairs) + site_map_svg(ranges) + _scale(ranges) + _table(measured)
+    measured = [site for site in ranges.sites if site.range is not None]
+    missing = len(ranges.sites) - len(measured)
+    without = html.pairs([("Without a range", f"{missing} of {len(ranges.sites)}")]) if missing else Markup()
+    return site_map_svg(ranges) + _scale(ranges) + without + _largest(measured)
 
 
 def _scale(ranges: SiteRanges) -> Markup:
@@ -307,58 +197,32 @@ def _scale(ranges: SiteRanges) -> Markup:
     ).format(low, gradient, high)
 
 
-def _table(measured: list[Site]) -> Markup:
-    largest = sorted(measured, key=lambda site: -(site.range.value_um if site.range else 0.0))[:MOST_ROWS]
+def _largest(measured: list[Site]) -> Markup:
+    largest = sorted(measured, key=lambda site: -(site.range.value_um if site.range else 0.0))[:MOST_SITES_LISTED]
     more = f"the largest {len(largest)} of {len(measured)}" if len(largest) < len(measured) else ""
-    return html.head("Range of each site", more) + html.table(
-        ["Middle x, y", "Measured", "Range"], [_row(site) for site in largest], " nn"
-    )
-
-
-def _row(site: Site) -> Markup:
-    where = f"{number(site.x_um, 1)}, {number(site.y_um, 1)}"
-    value = number(site.range.value_um, 3) if site.range is not None else ""
-    return html.row([where, share(site.measured_fraction), value], " nn")
-
-
-def step(finding: StepHeight) -> Markup:
-    """Return both faces, their relative tilt, the step at the joint, and the definition of h."""
-    rows = [
-        _face(_named("Upper", finding.also_upper), finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
-        _face(_named("Lower", finding.also_lower), finding.lower_mean_um, finding.lower_sq_um, finding.lower_points),
+    lines = [
+        html.row(
+            [
+                place_text(Point(x_um=site.x_um, y_um=site.y_um)),
+                share(site.measured_fraction),
+                number(site.range.value_um, 3) if site.range is not None else "",
+            ],
+            " nn",
+        )
+        for site in largest
     ]
-    pairs = [("Relative tilt", _tilt(finding))]
-    if finding.at_joint is not None:
-        pairs.append(("Step at the joint", format_quantity(finding.at_joint.quantity)))
-    return html.table(["Face", "Mean", "Sq", "Points"], rows, " nnn") + html.pairs(pairs) + _small(finding.definition)
+    return html.head("Range of each site", more) + html.table(["Middle x, y", "Measured", "Range"], lines, " nn")
 
 
-def groove(finding: StepProfile) -> Markup:
-    """Return the drawing, width and zones of a groove, and the definition of its height."""
-    width = [("Width", format_quantity(finding.width.quantity))] if finding.width is not None else []
-    zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
-    pairs = [
-        ("What the line crosses", finding.kind),
-        *width,
-        *zones,
-        ("Averaged over", averaging(finding)),
-        ("Sq from the fit", number(finding.sq_um, 2)),
-        ("Samples", number(finding.points, 0)),
-        ("Measured", share(finding.measured_fraction)),
+def faces(finding: StepHeight) -> Markup:
+    """Return the table of both faces of a step."""
+    upper = finding.upper_mean_um, finding.upper_sq_um, finding.upper_points
+    lower = finding.lower_mean_um, finding.lower_sq_um, finding.lower_points
+    lines = [
+        _face(_named("Upper", finding.also_upper), *upper),
+        _face(_named("Lower", finding.also_lower), *lower),
     ]
-    return groove_svg(finding) + html.pairs(pairs) + _small(finding.definition)
-
-
-def not_evaluated(finding: AnyResult) -> Markup:
-    """Return the contributions that are not evaluated, hence not in the budget; empty if there are none."""
-    missing: tuple[str, ...] = getattr(finding, "not_evaluated", ())
-    return _small(f"Not evaluated: {', '.join(missing)}.") if missing else Markup()
-
-
-def _tilt(finding: StepHeight) -> str:
-    if finding.tilt is not None:
-        return format_quantity(finding.tilt)
-    return with_unit(finding.relative_tilt_mrad, 2, "mrad")
+    return html.table(["Face", "Mean", "Sq", "Points"], lines, " nnn")
 
 
 def _named(face: str, others: tuple[object, ...]) -> str:
@@ -369,107 +233,82 @@ def _face(name: str, mean_um: float, sq_um: float, points: int) -> Markup:
     return html.row([name, number(mean_um, 2, signed=True), number(sq_um, 2), number(points, 0)], " nnn")
 
 
-def _small(line: str) -> Markup:
+def tilted_faces(finding: FaceAngle) -> Markup:
+    """Return the table of the two faces of an angle."""
+    given = (
+        ("First face", finding.first_tilt_deg, finding.first_sq_um, finding.first_points),
+        ("Second face", finding.second_tilt_deg, finding.second_sq_um, finding.second_points),
+    )
+    lines = [html.row([name, number(tilt, 2), number(sq, 2), number(n, 0)], " nnn") for name, tilt, sq, n in given]
+    return html.table(["Face", "Tilt, °", "Sq", "Points"], lines, " nnn")
+
+
+def groove(finding: StepProfile) -> Markup:
+    """Return the drawing of a groove, and its zones."""
+    zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
+    return groove_svg(finding) + html.pairs([*zones, ("Averaged over", averaging(finding))])
+
+
+def profile(finding: Profile) -> Markup:
+    """Return the averaging width of a profile, and the angle from its first to its last point."""
+    flat = finding.length_um == 0
+    angle = math.nan if flat else math.degrees(math.atan2(finding.rise.value_um, finding.length_um))
+    return html.pairs([("Averaged over", averaging(finding)), ("Angle", with_unit(angle, 2, "°", signed=True))])
+
+
+def _fields(kind: type[AnyResult], ending: str) -> frozenset[str]:
+    return frozenset(name for name in kind.__struct_fields__ if name.endswith(ending))
+
+
+_Drawing = tuple[Callable[[Any], Markup], frozenset[str]]
+_DRAWINGS: dict[type[AnyResult], _Drawing] = {
+    Profile: (profile, frozenset()),
+    StepHeight: (
+        faces,
+        frozenset({"relative_tilt_mrad"}).union(
+            *(_fields(StepHeight, end) for end in ("_mean_um", "_sq_um", "_points"))
+        ),
+    ),
+    StepProfile: (groove, frozenset({"edges_um"})),
+    FaceAngle: (
+        tilted_faces,
+        frozenset().union(*(_fields(FaceAngle, end) for end in ("_tilt_deg", "_sq_um", "_points"))),
+    ),
+    Chipping: (chips, frozenset()),
+    Coplanarity: (bumps, frozenset()),
+    SiteRanges: (sites, frozenset({"sites"})),
+}
+"""Drawings and tables of a kind of result, and the fields that they show."""
+
+
+def not_evaluated(finding: AnyResult) -> Markup:
+    """Return the contributions that are not evaluated, hence not in the budget; empty if there are none."""
+    missing: tuple[str, ...] = getattr(finding, "not_evaluated", ())
+    return small(f"Not evaluated: {', '.join(missing)}.") if missing else Markup()
+
+
+def small(line: str) -> Markup:
+    """Return a sentence in small type."""
     return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(line))
 
 
-Cells = Sequence[tuple[str, str]]
-COLUMNS = 3
-FIGURES, MOST_DECIMALS = 3, 4
-"""Significant digits of a texture height, and the largest number of decimals."""
-
-MEANINGS = {
-    "Sa": "Arithmetical mean height",
-    "Sq": "Root mean square height",
-    "Sz": "Highest peak over lowest pit",
-    "Sp": "Highest peak over the mean",
-    "Sv": "Lowest pit under the mean",
-    "Ssk": "Skewness: over 0 peaks, under 0 valleys prevail",
-    "Sku": "Kurtosis: 3 for normal heights",
-    "Sdq": "Root mean square slope",
-    "Sdr": "How much larger the surface is than its projection",
-    "Sk": "Height of the core",
-    "Spk": "Reduced height of the peaks over the core",
-    "Svk": "Reduced depth of the valleys under the core",
-    "Smr1": "Material ratio where peaks end",
-    "Smr2": "Material ratio where valleys begin",
-    "Sal": "Autocorrelation length: the shortest distance at which heights no longer correlate",
-    "Str": "Texture aspect ratio: near 1 isotropic, near 0 with a lay",
-    "Std": "Texture direction, across the lay, counter-clockwise from x",
-    "Ra": "Arithmetical mean height of the whole evaluation length",
-    "Rq": "Root mean square height of the whole evaluation length",
-    "Rt": "Highest over lowest of the whole evaluation length",
-    "Rsk": "Skewness: over 0 peaks, under 0 valleys prevail",
-    "Rku": "Kurtosis: 3 for normal heights",
-    "Rz": "Highest over lowest, mean of the sections",
-    "Rp": "Highest peak, mean of the sections",
-    "Rv": "Lowest pit, mean of the sections",
-}
-"""Tooltips of the parameters."""
+def _grouped(given: Sequence[Row]) -> Markup:
+    """Return the rows of a group side by side, the name of the group before the first line."""
+    groups = {row.label.group: None for row in given if row.label.group}
+    lines: list[Markup] = []
+    for group in groups:
+        cells = [_cell(row) for row in given if row.label.group == group]
+        for k in range(0, len(cells), COLUMNS):
+            line = cells[k : k + COLUMNS]
+            lines.append(html.row(["" if k else group, *line, *[""] * (COLUMNS - len(line))]))
+    return html.table([], lines) if lines else Markup()
 
 
-def texture(finding: Texture) -> Markup:
-    """Return all texture parameters by family, and the measured fraction."""
-    families: list[tuple[str, Cells]] = [
-        ("Height", (("Sa", _um(finding.sa)), ("Sq", _um(finding.sq)), ("Sz", _um(finding.sz)))),
-        ("", (("Sp", _um(finding.sp)), ("Sv", _um(finding.sv)))),
-        ("", (("Ssk", number(finding.ssk, 2, signed=True)), ("Sku", number(finding.sku, 2)))),
-        ("Hybrid", (("Sdq", figures(finding.sdq)), ("Sdr", _percent(finding.sdr_fraction)))),
-        ("Functional", (("Sk", _um(finding.sk)), ("Spk", _um(finding.spk)), ("Svk", _um(finding.svk)))),
-        ("", (("Smr1", _percent(finding.smr1_fraction)), ("Smr2", _percent(finding.smr2_fraction)))),
-        ("Spatial", (("Sal", _um(finding.sal)), ("Str", number(finding.str_ratio, 2)), ("Std", _std(finding)))),
-    ]
-    return _family_table(families) + _measured(finding)
-
-
-def roughness(finding: Roughness) -> Markup:
-    """Return all roughness parameters, the sampling lengths, and the measured fraction."""
-    families: list[tuple[str, Cells]] = [
-        ("Evaluation", (("Ra", _um(finding.ra)), ("Rq", _um(finding.rq)), ("Rt", _um(finding.rt)))),
-        ("", (("Rsk", number(finding.rsk, 2, signed=True)), ("Rku", number(finding.rku, 2)))),
-        ("Sections", (("Rz", _um(finding.rz)), ("Rp", _um(finding.rp)), ("Rv", _um(finding.rv)))),
-    ]
-    each = f"{finding.sections} × {with_unit(finding.section_um, 1)}"
-    return _family_table(families) + _measured(finding, ("Sampling lengths", each))
-
-
-def figures(value: float | None) -> str:
-    """Format a number to three significant digits, with at most four decimals."""
-    if value is None or not math.isfinite(value) or value == 0:
-        return number(value, 2)
-    digits = FIGURES - 1 - math.floor(math.log10(abs(value)))
-    return number(value, min(MOST_DECIMALS, max(0, digits)))
-
-
-def _family_table(families: Sequence[tuple[str, Cells]]) -> Markup:
-    rows = [html.row([family, *_padded(cells)]) for family, cells in families]
-    return html.table([], rows)
-
-
-def _padded(cells: Cells) -> list[str]:
-    """Return the cells of a row, padded to `COLUMNS` so that all row lines have one length."""
-    return [*(_cell(*cell) for cell in cells), *[""] * (COLUMNS - len(cells))]
-
-
-def _cell(name: str, value: str) -> Markup:
-    shown = Markup('<span class="wv-lab">{}</span> <b style="font-weight:550">{}</b>').format(name, value)
-    return Markup('<span title="{}">{}</span>').format(MEANINGS.get(name, ""), shown)
-
-
-def _measured(finding: Texture | Roughness, *more: tuple[str, str]) -> Markup:
-    return html.pairs([*more, ("Points", number(finding.points, 0)), ("Measured", share(finding.measured_fraction))])
-
-
-def _um(length: Length | None) -> str:
-    return NOTHING if length is None else figures(length.value_um)
-
-
-def _percent(fraction: float | None) -> str:
-    return NOTHING if fraction is None else f"{figures(100 * fraction)}\u202f%"
-
-
-def _std(finding: Texture) -> str:
-    return NOTHING if finding.std is None else f"{number(finding.std.value, 1)}°"
+def _cell(row: Row) -> Markup:
+    shown = Markup('<span class="wv-lab">{}</span> <b style="font-weight:550">{}</b>').format(
+        row.label.title, short_text(row)
+    )
+    return Markup('<span title="{}">{}</span>').format(row.label.hint, shown)
 
 
 _CROWDED = ("", "", " wv-two", " wv-many")

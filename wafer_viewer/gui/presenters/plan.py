@@ -9,7 +9,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, duration, number, size, with_unit
-from wafer_viewer.gui.presenters.measurement import format_quantity
+from wafer_viewer.draw.quantities import format_quantity
 from wafer_viewer.gui.presenters.verdict import LOOKS, state
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.acquisition.plan import Price

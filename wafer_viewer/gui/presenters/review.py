@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 
 from markupsafe import Markup
 
+from wafer_viewer.draw.quantities import value_texts
 from wafer_viewer.gui.presenters import verdict
 from wafer_viewer.gui.presenters.defects import defect_item, defect_items
-from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_colour, symbol, value_texts
+from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_colour, symbol
 from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.presenters.review_item import VERDICT_LOOKS, VERDICTS, ReviewItem, Row
 from wafer_viewer.gui.presenters.verdict import feature_summary
@@ -22,11 +23,11 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.job import FeatureVerdict, Job, Word, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.feature import on_die
+from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
-from wafer_viewer.session.measurement.measurement_numbers import title_of
 from wafer_viewer.session.state.snapshot import Snapshot
 
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
@@ -131,12 +132,13 @@ def _kind(finding: AnyResult) -> str:
 
 def _rows(finding: AnyResult) -> Iterator[Row]:
     for name, quantity in finding.quantities.items():
-        yield (title_of(name), *value_texts(quantity))
+        yield (title_of(type(finding), name), *value_texts(quantity))
 
 
 def _feature_rows(judged: FeatureVerdict) -> tuple[Row, ...]:
-    feature, what = judged.feature, judged.feature.quantity or TOOLS[judged.feature.tool].title
-    measured = ((title_of(what), *value_texts(judged.measured)),) if judged.measured else ()
+    feature, tool = judged.feature, TOOLS[judged.feature.tool]
+    what = title_of(tool.result, feature.quantity) if feature.quantity else tool.title
+    measured = ((what, *value_texts(judged.measured)),) if judged.measured else ()
     named = (("Nominal", feature.nominal), ("Lower limit", feature.lower_limit), ("Upper limit", feature.upper_limit))
     given = [(name, Quantity(value=value, unit=feature.unit)) for name, value in named if value is not None]
     texts = [(name, *value_texts(quantity)) for name, quantity in given]

@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 from wafer_viewer.draw.charts.die_map import die_map_svg
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.presenters.measurement import display_unit, value_texts, with_unit_sign
+from wafer_viewer.draw.quantities import display_unit, value_texts, with_unit_sign
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.job import FeatureVerdict, WaferVerdict, Word
 from wafer_viewer.model.measurement.feature import DecisionRule, Feature

@@ -6,13 +6,14 @@ Every result has one `main` quantity, which represents it in a list.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
 from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
     CircleOptions,
@@ -28,6 +29,11 @@ from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec
 
+MEASURED = Label("Measured", "Share of the pixels that have a height")
+_SKEWNESS = "Skewness: over 0 peaks, under 0 valleys prevail"
+_KURTOSIS = "Kurtosis: 3 for normal heights"
+_WHOLE = "of the whole evaluation length"
+
 
 class MeasurementResult(Spec, frozen=True, kw_only=True):
     """Fields common to all results: name, surface and filter it was measured on, and whether any input is simulated.
@@ -37,14 +43,14 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
-    name: str = ""
-    number: int = 0
-    show: int = 0
-    surface: Literal["unsmoothed", "smoothed", "filled"] = "unsmoothed"
-    filter: str = "none"
-    levelling: Levelling = Levelling()
-    simulated: bool = False
-    notes: tuple[str, ...] = ()
+    name: Annotated[str, UNLISTED] = ""
+    number: Annotated[int, UNLISTED] = 0
+    show: Annotated[int, UNLISTED] = 0
+    surface: Annotated[Literal["unsmoothed", "smoothed", "filled"], UNLISTED] = "unsmoothed"
+    filter: Annotated[str, UNLISTED] = "none"
+    levelling: Annotated[Levelling, UNLISTED] = Levelling()
+    simulated: Annotated[bool, UNLISTED] = False
+    notes: Annotated[tuple[str, ...], UNLISTED] = ()
 
     input_fields: ClassVar[tuple[str, ...]] = ("region",)
     """Fields with the regions that the tool was given, in its order."""
@@ -102,10 +108,10 @@ class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):
     input_fields: ClassVar[tuple[str, ...]] = ("line",)
     main_fields: ClassVar[tuple[str, ...]] = ("pt",)
     line: Region
-    length_um: NonNegative
-    pt: Length
-    rise: Length
-    measured_fraction: NonNegative
+    length_um: Annotated[NonNegative, Label(digits=1)]
+    pt: Annotated[Length, Label("Total height Pt")]
+    rise: Annotated[Length, Label("Rise, first to last point", signed=True)]
+    measured_fraction: Annotated[NonNegative, MEASURED]
 
 
 class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
@@ -113,9 +119,9 @@ class PointHeight(MeasurementResult, frozen=True, kw_only=True, tag="point"):
 
     input_fields: ClassVar[tuple[str, ...]] = ("place",)
     main_fields: ClassVar[tuple[str, ...]] = ("height",)
-    place: Region
-    height: Length
-    points: int
+    place: Annotated[Region, Label("Place x, y")]
+    height: Annotated[Length, Label(signed=True)]
+    points: Annotated[int, Label("Pixels, their median")]
 
 
 class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
@@ -123,11 +129,11 @@ class Distance(MeasurementResult, frozen=True, kw_only=True, tag="distance"):
 
     input_fields: ClassVar[tuple[str, ...]] = ("start", "end")
     main_fields: ClassVar[tuple[str, ...]] = ("distance",)
-    start: Region
-    end: Region
-    distance: Length
-    lateral: Length
-    dz: Length
+    start: Annotated[Region, Label("From x, y")]
+    end: Annotated[Region, Label("To x, y")]
+    distance: Annotated[Length, Label("In space")]
+    lateral: Annotated[Length, Label("On the map")]
+    dz: Annotated[Length, Label("Rise Δz", signed=True)]
     slope: Quantity
 
     @property
@@ -145,12 +151,12 @@ class FaceAngle(MeasurementResult, frozen=True, kw_only=True, tag="angle"):
     first: Region
     second: Region
     angle: Quantity
-    first_tilt_deg: NonNegative
-    second_tilt_deg: NonNegative
-    first_sq_um: NonNegative
-    second_sq_um: NonNegative
-    first_points: int
-    second_points: int
+    first_tilt_deg: Annotated[NonNegative, Label("Tilt of the first face")]
+    second_tilt_deg: Annotated[NonNegative, Label("Tilt of the second face")]
+    first_sq_um: Annotated[NonNegative, Label("Sq of the first face")]
+    second_sq_um: Annotated[NonNegative, Label("Sq of the second face")]
+    first_points: Annotated[int, Label("Points on the first face")]
+    second_points: Annotated[int, Label("Points on the second face")]
 
 
 class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
@@ -164,9 +170,9 @@ class Radius(MeasurementResult, frozen=True, kw_only=True, tag="radius"):
     circle: Region
     kind: Literal["bump", "pit"]
     radius: Length
-    top: Length
-    center: Point
-    sq_um: NonNegative
+    top: Annotated[Length, Label("Top over (bottom under) its surroundings")]
+    center: Annotated[Point, Label("Centre x, y")]
+    sq_um: Annotated[NonNegative, Label("Sq from the sphere")]
     points: int
 
 
@@ -182,13 +188,13 @@ class AreaVolume(MeasurementResult, frozen=True, kw_only=True, tag="volume"):
     reference: Literal["border", "zero"]
     volume_above: Quantity
     volume_below: Quantity
-    area: Quantity
+    area: Annotated[Quantity, Label("Area of the region")]
     area_above: Quantity
     area_below: Quantity
-    highest: Length
-    lowest: Length
-    noise_um: NonNegative
-    measured_fraction: Fraction
+    highest: Annotated[Length, Label(signed=True)]
+    lowest: Annotated[Length, Label(signed=True)]
+    noise_um: Annotated[NonNegative, Label("Counts as neither within")]
+    measured_fraction: Annotated[Fraction, MEASURED]
 
 
 class Flatness(MeasurementResult, frozen=True, kw_only=True, tag="flatness"):
@@ -197,12 +203,12 @@ class Flatness(MeasurementResult, frozen=True, kw_only=True, tag="flatness"):
     main_fields: ClassVar[tuple[str, ...]] = ("flt_t",)
     region: Region
     reference: Literal["least_squares", "minimum_zone"]
-    flt_t: Length
-    flt_q: Length
-    flt_t_minimum_zone: Length | None = None
-    band_9973_um: NonNegative = 0.0
+    flt_t: Annotated[Length, Label("FLTt")]
+    flt_q: Annotated[Length, Label("FLTq")]
+    flt_t_minimum_zone: Annotated[Length | None, Label("FLTt, minimum zone")] = None
+    band_9973_um: Annotated[NonNegative, Label("Band with 99.73 %")] = 0.0
     points: int = 0
-    measured_fraction: Fraction = 1.0
+    measured_fraction: Annotated[Fraction, MEASURED] = 1.0
 
 
 class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"):
@@ -222,16 +228,16 @@ class StepHeight(MeasurementResult, frozen=True, kw_only=True, tag="step_height"
     height: Length
     definition: str
     options: StepOptions = StepOptions()
-    at_joint: Length | None = None
-    tilt: Quantity | None = None
-    upper_mean_um: float
-    lower_mean_um: float
-    upper_sq_um: NonNegative
-    lower_sq_um: NonNegative
-    upper_points: int
-    lower_points: int
-    relative_tilt_mrad: NonNegative = 0.0
-    not_evaluated: tuple[str, ...] = ()
+    at_joint: Annotated[Length | None, Label("Step at the joint")] = None
+    tilt: Annotated[Quantity | None, Label("Relative tilt")] = None
+    upper_mean_um: Annotated[float, Label("Mean of the upper face", signed=True)]
+    lower_mean_um: Annotated[float, Label("Mean of the lower face", signed=True)]
+    upper_sq_um: Annotated[NonNegative, Label("Sq of the upper face")]
+    lower_sq_um: Annotated[NonNegative, Label("Sq of the lower face")]
+    upper_points: Annotated[int, Label("Points on the upper face")]
+    lower_points: Annotated[int, Label("Points on the lower face")]
+    relative_tilt_mrad: Annotated[NonNegative, Label("Relative tilt, without direction")] = 0.0
+    not_evaluated: Annotated[tuple[str, ...], UNLISTED] = ()
 
     @property
     def detected(self) -> tuple[Region, ...]:
@@ -250,18 +256,18 @@ class StepProfile(MeasurementResult, frozen=True, kw_only=True, tag="step_profil
     input_fields: ClassVar[tuple[str, ...]] = ("line",)
     main_fields: ClassVar[tuple[str, ...]] = ("height",)
     line: Region
-    kind: Literal["groove", "ridge", "step"]
+    kind: Annotated[Literal["groove", "ridge", "step"], Label("The line crosses")]
     height: Length
     definition: str
     options: GrooveOptions = GrooveOptions()
     width: Length | None = None
-    edges_um: tuple[float, ...]
-    zones: tuple[tuple[str, float, float], ...]
-    curve: tuple[tuple[float, float], ...] = ()
-    sq_um: NonNegative
-    points: int
-    measured_fraction: NonNegative
-    not_evaluated: tuple[str, ...] = ()
+    edges_um: Annotated[tuple[float, ...], Label("Edges along the line, µm", digits=1)]
+    zones: Annotated[tuple[tuple[str, float, float], ...], UNLISTED]
+    curve: Annotated[tuple[tuple[float, float], ...], UNLISTED] = ()
+    sq_um: Annotated[NonNegative, Label("Sq from the fit")]
+    points: Annotated[int, Label("Samples")]
+    measured_fraction: Annotated[NonNegative, MEASURED]
+    not_evaluated: Annotated[tuple[str, ...], UNLISTED] = ()
 
 
 MOST_SITES = 400
@@ -285,10 +291,10 @@ class SiteRanges(MeasurementResult, frozen=True, kw_only=True, tag="site_range")
 
     main_fields: ClassVar[tuple[str, ...]] = ("largest",)
     region: Region
-    site_width_um: Positive
-    site_height_um: Positive
-    rows: int
-    cols: int
+    site_width_um: Annotated[Positive, Label("Width of a site", digits=1)]
+    site_height_um: Annotated[Positive, Label("Height of a site", digits=1)]
+    rows: Annotated[int, Label("Rows of sites")]
+    cols: Annotated[int, Label("Columns of sites")]
     sites: tuple[Site, ...]
     largest: Length
 
@@ -315,25 +321,35 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     main_fields: ClassVar[tuple[str, ...]] = ("sa",)
     region: Region
     options: TextureOptions = TextureOptions()
-    sa: Length
-    sq: Length
-    sp: Length
-    sv: Length
-    sz: Length
-    ssk: float | None
-    sku: float | None
-    sdq: NonNegative | None = None
-    sdr_fraction: NonNegative | None = None
-    sk: Length | None = None
-    spk: Length | None = None
-    svk: Length | None = None
-    smr1_fraction: Fraction | None = None
-    smr2_fraction: Fraction | None = None
-    sal: Length | None = None
-    str_ratio: Fraction | None = None
-    std: Quantity | None = None
+    sa: Annotated[Length, Label("Sa", "Arithmetical mean height", "Height")]
+    sq: Annotated[Length, Label("Sq", "Root mean square height", "Height")]
+    sp: Annotated[Length, Label("Sp", "Highest peak over the mean", "Height")]
+    sv: Annotated[Length, Label("Sv", "Lowest pit under the mean", "Height")]
+    sz: Annotated[Length, Label("Sz", "Highest peak over lowest pit", "Height")]
+    ssk: Annotated[float | None, Label("Ssk", _SKEWNESS, "Height", signed=True)]
+    sku: Annotated[float | None, Label("Sku", _KURTOSIS, "Height")]
+    sdq: Annotated[NonNegative | None, Label("Sdq", "Root mean square slope", "Hybrid")] = None
+    sdr_fraction: Annotated[NonNegative | None, Label("Sdr", "Area over that of its projection, less 1", "Hybrid")] = (
+        None
+    )
+    sk: Annotated[Length | None, Label("Sk", "Height of the core", "Functional")] = None
+    spk: Annotated[Length | None, Label("Spk", "Reduced height of the peaks over the core", "Functional")] = None
+    svk: Annotated[Length | None, Label("Svk", "Reduced depth of the valleys under the core", "Functional")] = None
+    smr1_fraction: Annotated[Fraction | None, Label("Smr1", "Material ratio where peaks end", "Functional")] = None
+    smr2_fraction: Annotated[Fraction | None, Label("Smr2", "Material ratio where valleys begin", "Functional")] = None
+    sal: Annotated[
+        Length | None,
+        Label("Sal", "Autocorrelation length: the shortest distance at which heights no longer correlate", "Spatial"),
+    ] = None
+    str_ratio: Annotated[
+        Fraction | None,
+        Label("Str", "Texture aspect ratio: near 1 isotropic, near 0 with a lay", "Spatial"),
+    ] = None
+    std: Annotated[
+        Quantity | None, Label("Std", "Texture direction, across the lay, counter-clockwise from x", "Spatial")
+    ] = None
     points: int
-    measured_fraction: Fraction
+    measured_fraction: Annotated[Fraction, MEASURED]
 
 
 class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
@@ -347,18 +363,18 @@ class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     main_fields: ClassVar[tuple[str, ...]] = ("ra",)
     line: Region
     options: RoughnessOptions = RoughnessOptions()
-    ra: Length
-    rq: Length
-    rz: Length
-    rt: Length
-    rp: Length
-    rv: Length
-    rsk: float | None
-    rku: float | None
-    sections: int
-    section_um: NonNegative
+    ra: Annotated[Length, Label("Ra", f"Arithmetical mean height {_WHOLE}", "Evaluation")]
+    rq: Annotated[Length, Label("Rq", f"Root mean square height {_WHOLE}", "Evaluation")]
+    rz: Annotated[Length, Label("Rz", "Highest over lowest, mean of the sections", "Sections")]
+    rt: Annotated[Length, Label("Rt", f"Highest over lowest {_WHOLE}", "Evaluation")]
+    rp: Annotated[Length, Label("Rp", "Highest peak, mean of the sections", "Sections")]
+    rv: Annotated[Length, Label("Rv", "Lowest pit, mean of the sections", "Sections")]
+    rsk: Annotated[float | None, Label("Rsk", _SKEWNESS, "Evaluation", signed=True)]
+    rku: Annotated[float | None, Label("Rku", _KURTOSIS, "Evaluation")]
+    sections: Annotated[int, Label("Sampling lengths")]
+    section_um: Annotated[NonNegative, Label("Sampling length", digits=1)]
     points: int
-    measured_fraction: Fraction
+    measured_fraction: Annotated[Fraction, MEASURED]
 
 
 Side = Literal["left", "right", "lower", "upper"]
@@ -376,11 +392,11 @@ class KerfWidth(MeasurementResult, frozen=True, kw_only=True, tag="kerf_width"):
     width: Length
     narrowest: Length
     widest: Length
-    angle: Quantity
-    kerf: Literal["bright", "dark"]
+    angle: Annotated[Quantity, Label("Angle between the edges")]
+    kerf: Annotated[Literal["bright", "dark"], Label("Kerf on the picture")]
     first: Region
     second: Region
-    points: int
+    points: Annotated[int, Label("Edge points")]
 
     @property
     def detected(self) -> tuple[Region, ...]:
@@ -400,12 +416,12 @@ class DieSize(MeasurementResult, frozen=True, kw_only=True, tag="die_size"):
     options: DieOptions = DieOptions()
     width: Length
     height: Length
-    rotation: Quantity
-    squareness: Quantity
-    center: Point
+    rotation: Annotated[Quantity, Label(signed=True)]
+    squareness: Annotated[Quantity, Label("Squareness, angle over 90°", signed=True)]
+    center: Annotated[Point, Label("Centre x, y")]
     outline: Region
-    die: Literal["bright", "dark"]
-    points: int
+    die: Annotated[Literal["bright", "dark"], Label("Rim on the picture")]
+    points: Annotated[int, Label("Edge points")]
 
     @property
     def detected(self) -> tuple[Region, ...]:
@@ -425,11 +441,11 @@ class CircleSize(MeasurementResult, frozen=True, kw_only=True, tag="circle"):
     options: CircleOptions = CircleOptions()
     diameter: Length
     radius: Length
-    roundness: Length
-    center: Point
+    roundness: Annotated[Length, Label("Roundness RONt")]
+    center: Annotated[Point, Label("Centre x, y")]
     found: Region
-    inside: Literal["bright", "dark"]
-    points: int
+    inside: Annotated[Literal["bright", "dark"], Label("Inside on the picture")]
+    points: Annotated[int, Label("Edge points")]
 
     @property
     def detected(self) -> tuple[Region, ...]:
@@ -458,16 +474,16 @@ class Chipping(MeasurementResult, frozen=True, kw_only=True, tag="chipping"):
     region: Region
     options: ChippingOptions = ChippingOptions()
     deepest: Length
-    longest: Length
-    area: Quantity
-    n_chips: int
-    chips: tuple[Chip, ...] = ()
-    limit_um: NonNegative
-    edge_length_um: NonNegative
-    chipped_fraction: Fraction
+    longest: Annotated[Length, Label("Longest chip")]
+    area: Annotated[Quantity, Label("Area of the chips")]
+    n_chips: Annotated[int, Label("Chips")]
+    chips: Annotated[tuple[Chip, ...], UNLISTED] = ()
+    limit_um: Annotated[NonNegative, Label("Deeper than")]
+    edge_length_um: Annotated[NonNegative, Label("Length of the edge", digits=1)]
+    chipped_fraction: Annotated[Fraction, Label("Share of the edge chipped")]
     edge: Region
-    die: Side
-    points: int
+    die: Annotated[Side, Label("Side of the die")]
+    points: Annotated[int, Label("Edge points")]
 
     @property
     def detected(self) -> tuple[Region, ...]:
@@ -501,8 +517,8 @@ class Coplanarity(MeasurementResult, frozen=True, kw_only=True, tag="coplanarity
     options: CoplanarityOptions = CoplanarityOptions()
     coplanarity: Length
     mean_height: Length
-    height_range: Length
-    n_bumps: int
-    left_out: int
-    tilt_mrad: NonNegative
-    bumps: tuple[Bump, ...] = ()
+    height_range: Annotated[Length, Label("Range of heights")]
+    n_bumps: Annotated[int, Label("Bumps")]
+    left_out: Annotated[int, Label("Left out, cut or not measured")]
+    tilt_mrad: Annotated[NonNegative, Label("Tilt of the plane")]
+    bumps: Annotated[tuple[Bump, ...], UNLISTED] = ()

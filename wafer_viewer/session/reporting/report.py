@@ -24,11 +24,11 @@ from wafer_viewer.model.report import (
     ReportSection,
     Table,
 )
-from wafer_viewer.session.measurement.measurement_numbers import not_evaluated
 from wafer_viewer.session.reporting.report_data import (
     Material,
     calibration_pairs,
     gather,
+    not_evaluated,
     plan_pairs,
     positioner_pairs,
     recipe_pairs,

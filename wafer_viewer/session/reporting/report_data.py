@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
+from wafer_viewer.draw.quantities import UNIT_SIGNS, explained_quantity, row_text
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.positioners import ROLES, PositionerReading
@@ -18,11 +19,13 @@ from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job import FeatureVerdict, Job, Judgement, Notebook, WaferVerdict, key_of_result
 from wafer_viewer.model.measurement.feature import limits_text
+from wafer_viewer.model.measurement.result_rows import rows, spaced, title_of
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
-from wafer_viewer.session.measurement.measurement_numbers import UNITS, quantity_text, spaced, title_of
 from wafer_viewer.session.planning.job_releases import release_of
 from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.session.state.snapshot import SurfaceInfo
@@ -39,7 +42,37 @@ Pairs = tuple[tuple[str, str], ...]
 def result_row(finding: AnyResult, notebook: Notebook) -> tuple[str, ...]:
     """Return number, name, kind, value, position and judgement of a result."""
     judged = judgement_text(notebook.judgement(key_of_result(finding.number)))
-    return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), judged)
+    return (
+        f"{finding.number}",
+        finding.name,
+        kind_of(finding),
+        explained_quantity(finding.main),
+        where(finding),
+        judged,
+    )
+
+
+MOST_LETTERS = 160
+"""Letters of a text beside a label; longer ones are omitted."""
+
+
+def numbers_of(finding: AnyResult) -> Pairs:
+    """Return label and text of all numbers of a result but the main one."""
+    texts = ((row.label.title, row_text(row)) for row in rows(finding, frozenset({finding.main_field})))
+    return tuple((title, text) for title, text in texts if len(text) <= MOST_LETTERS)
+
+
+def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
+    """Return the budget lines of the main quantity's uncertainty (k = 1), or those of the result itself."""
+    if finding.main.budget:
+        return finding.main.budget
+    lines: Any = getattr(finding, "budget", ())
+    return tuple(BudgetLine(name=line.name, u=line.u_um) for line in lines)
+
+
+def not_evaluated(finding: AnyResult) -> tuple[str, ...]:
+    """Return the known contributions missing from the uncertainty."""
+    return tuple(getattr(finding, "not_evaluated", ()))
 
 
 def kind_of(finding: AnyResult) -> str:
@@ -50,10 +83,10 @@ def kind_of(finding: AnyResult) -> str:
 def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[str, ...]:
     """Return number and name of a feature of the job, its limits and value, the verdict and people's judgement."""
     feature = judged.feature
-    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
+    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNIT_SIGNS[feature.unit]}")
     rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
-    value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
-    quantity = f", {title_of(feature.quantity)}" if feature.quantity else ""
+    value = explained_quantity(judged.measured) if judged.measured is not None else "not measured"
+    quantity = f", {title_of(TOOLS[feature.tool].result, feature.quantity)}" if feature.quantity else ""
     return (f"F{n}", f"{judged.name}{quantity}", rule, value, judged.word.upper(), judgement_text(judgement))
 
 

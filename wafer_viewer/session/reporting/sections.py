@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
 from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
 from wafer_viewer.draw.number_format import digits_of_u, number, share
+from wafer_viewer.draw.quantities import display_unit, explained_quantity
 from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
@@ -16,26 +17,22 @@ from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
+from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.measurement.sections import SectionRequest
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.model.quantity import BudgetLine
+from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Sheet, Table
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.session.measurement.measurement_numbers import (
-    UNITS,
-    budget_of,
-    not_evaluated,
-    numbers_of,
-    quantity_text,
-    title_of,
-)
 from wafer_viewer.session.reporting.report_data import (
     Material,
     bounds_um,
+    budget_of,
     feature_row,
     judgement_text,
     kind_of,
+    not_evaluated,
+    numbers_of,
     result_row,
     where,
 )
@@ -80,13 +77,14 @@ def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
 def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
     """Return the uncertainty sheet of a feature."""
     feature, measured = item.feature, item.measured
-    labels = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
+    tool = TOOLS[feature.tool]
+    labels = (tool.title, title_of(tool.result, feature.quantity) if feature.quantity else "")
     return Sheet(
         number=f"F{n}",
         title=item.name,
         below=", ".join(part for part in labels if part),
-        value=quantity_text(measured) if measured is not None else "not measured",
-        budget=budget_table(measured.budget, UNITS.get(measured.unit, measured.unit)) if measured else None,
+        value=explained_quantity(measured) if measured is not None else "not measured",
+        budget=budget_table(measured.budget, measured) if measured else None,
         missing=item.not_evaluated,
     )
 
@@ -114,28 +112,29 @@ def results(material: Material) -> ReportSection:
 
 def _sheet(material: Material, finding: AnyResult) -> Sheet:
     judgement = judgement_text(material.notebook.judgement(key_of_result(finding.number)))
-    below = (kind_of(finding), title_of(finding.main_field), where(finding), judgement)
+    below = (kind_of(finding), title_of(type(finding), finding.main_field), where(finding), judgement)
     return Sheet(
         number=f"{finding.number}",
         title=finding.name,
         below=" · ".join(part for part in below if part),
-        value=quantity_text(finding.main),
+        value=explained_quantity(finding.main),
         picture=_place(material, finding),
         pairs=numbers_of(finding),
-        budget=budget_table(budget_of(finding), UNITS.get(finding.main.unit, finding.main.unit)),
+        budget=budget_table(budget_of(finding), finding.main),
         missing=not_evaluated(finding),
     )
 
 
-def budget_table(lines: tuple[BudgetLine, ...], unit: str) -> Table | None:
-    """Return contributions with their share of the variance, the largest first; None without a budget."""
+def budget_table(lines: tuple[BudgetLine, ...], quantity: Quantity) -> Table | None:
+    """Return contributions in the display unit, with their share of the variance, the largest first; None if empty."""
+    read = display_unit(quantity)
     variance = sum(line.u**2 for line in lines)
     if not variance:
         return None
     ordered = sorted(lines, key=lambda line: -line.u)
-    rows = [(line.name, _two_figures(line.u), share(line.u**2 / variance)) for line in ordered]
-    total = ("combined, k = 1", _two_figures(variance**0.5), "")
-    return Table(("Contribution", f"u, {unit}", "of u²"), (*rows, total), " nn")
+    rows = [(line.name, _two_figures(line.u * read.factor), share(line.u**2 / variance)) for line in ordered]
+    total = ("combined, k = 1", _two_figures(variance**0.5 * read.factor), "")
+    return Table(("Contribution", f"u, {read.unit}", "of u²"), (*rows, total), " nn")
 
 
 def _two_figures(u: float) -> str:
@@ -177,7 +176,7 @@ def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | Non
         SectionRequest(place=0, line=line, show=finding.show, levelling=finding.levelling), measurement, curve, ""
     )
     width = f", mean over {number(line.width_um, 1)}\u202fµm" if line.width_um else ""
-    caption = f"{finding.number} · {finding.name}: {quantity_text(finding.main)}; {kind_of(finding)}{width}"
+    caption = f"{finding.number} · {finding.name}: {explained_quantity(finding.main)}; {kind_of(finding)}{width}"
     return Figure("", caption, svg=profile_svg(cut))
 
 
@@ -199,7 +198,7 @@ def gauge(material: Material) -> ReportSection:
 
 def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
     limit_um = check.terms.limit_um
-    heights = (quantity_text(length.quantity) for length in (check.height, check.reference, check.deviation))
+    heights = (explained_quantity(length.quantity) for length in (check.height, check.reference, check.deviation))
     limit = f"±{number(limit_um, 3)}\u202fµm" if limit_um is not None else "none"
     word = check.verdict.upper()
     return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 2), limit, word)
@@ -333,10 +332,10 @@ def _held(inspection: Inspection) -> str:
 
 
 def _row(defect: Defect) -> tuple[str, ...]:
-    length = quantity_text(defect.major.quantity) if defect.size_resolved else "not resolved"
+    length = explained_quantity(defect.major.quantity) if defect.size_resolved else "not resolved"
     place = f"{number(defect.center.x_um, 1)}, {number(defect.center.y_um, 1)}"
     word = " ".join(part for part in (defect.judgement, defect.judged_by) if part and part != "open")
-    height = quantity_text(defect.height.quantity)
+    height = explained_quantity(defect.height.quantity)
     return (f"{defect.number}", defect.seen_as, defect.die, height, length, place, word)
 
 

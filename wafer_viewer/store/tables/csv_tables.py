@@ -7,7 +7,6 @@ import io
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
@@ -17,10 +16,12 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.inspection.defect import Defect, Inspection
-from wafer_viewer.model.measurement.measurements import Bump, Chip, Chipping, Coplanarity, MeasurementResult
+from wafer_viewer.model.measurement.measurements import Bump, Chip
+from wafer_viewer.model.measurement.result_rows import Row, rows
 from wafer_viewer.model.measurement.sections import Section
-from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.store.io.guarded_reading import read_content
 
@@ -28,11 +29,6 @@ RESULT_COLUMNS = (
     *("number", "name", "kind", "quantity", "value", "U", "unit", "k", "status"),
     *("x_um", "y_um", "surface", "filter", "levelled by", "show", "simulated"),
 )
-UNITS = ("um2", "um3", "um", "deg", "mrad")
-"""Name suffixes that give the unit of a plain number; without one it is a count or a ratio, unit 1."""
-OF_ALL = frozenset(MeasurementResult.__struct_fields__)
-
-
 _FORMULA = re.compile(r"\s*([=@]|[+-](?![-+0-9.,eE ]*$))")
 """Begin of a text that spreadsheets run as a formula; the names of dies, as -1,0, are none."""
 
@@ -60,81 +56,45 @@ def _harmless(cell: object) -> object:
     return f"'{text}" if _FORMULA.match(text) else text
 
 
-@dataclass(frozen=True, slots=True)
-class CsvNumber:
-    """One number of a result; status is empty for numbers without an uncertainty."""
-
-    name: str
-    value: float
-    unit: str
-    expanded: float | None = None
-    status: str = ""
-
-
 def findings_csv(findings: MeasurementResults) -> str:
     """Return the table; U is expanded (k = 2). x_um, y_um: centre of the first region; show 0: entire surface."""
     text = io.StringIO()
     table = TableWriter(text)
     table.writerow(RESULT_COLUMNS)
     for finding in findings.items:
-        for number in _numbers(finding):
-            table.writerow([*_identity_cells(finding), *_cells(number), *_place(finding), *_processing_cells(finding)])
-        for number, place in _parts(finding):
-            table.writerow([*_identity_cells(finding), *_cells(number), *place, *_processing_cells(finding)])
+        main = finding.main_field
+        lines = [
+            (row, row.name, _place(finding)) for row in sorted(_numbers(finding), key=lambda row: row.field != main)
+        ]
+        for row, name, place in (*lines, *_parts(finding)):
+            cells = _identity_cells(finding), _cells(row, name), place, _processing_cells(finding)
+            table.writerow([cell for some in cells for cell in some])
     return text.getvalue()
 
 
-def _numbers(finding: AnyResult) -> Iterator[CsvNumber]:
-    """Yield the numbers of a result, the main one first."""
-    names = sorted(finding.__struct_fields__, key=lambda name: name != finding.main_field)
-    return (n for name in names if name not in OF_ALL and (n := _number(finding, name)))
+def _numbers(part: Spec) -> list[Row]:
+    return [row for row in rows(part) if isinstance(row.value, Quantity | int | float)]
 
 
-def _parts(finding: AnyResult) -> Iterator[tuple[CsvNumber, list[str]]]:
-    """Yield the numbers of each chip or bump of a result, with its position."""
-    parts: dict[str, tuple[Chip | Bump, ...]] = {}
-    if isinstance(finding, Chipping):
-        parts["chip"] = finding.chips
-    if isinstance(finding, Coplanarity):
-        parts["bump"] = finding.bumps
-    for kind, found in parts.items():
+def _parts(finding: AnyResult) -> Iterator[tuple[Row, str, list[str]]]:
+    """Yield the numbers of each chip or bump of a result, with its name and position."""
+    for kind, field in (("chip", "chips"), ("bump", "bumps")):
+        found: tuple[Chip | Bump, ...] = getattr(finding, field, ())
         for k, part in enumerate(found, 1):
-            at = [f"{part.place.x_um:.2f}", f"{part.place.y_um:.2f}"]
-            numbers = (n for name in part.__struct_fields__ if (n := _number(part, name)))
-            yield from ((replace(n, name=f"{kind} {k} {n.name}"), at) for n in numbers)
-
-
-def _number(finding: AnyResult | Chip | Bump, name: str) -> CsvNumber | None:
-    match getattr(finding, name):
-        case Length() as length:
-            return _of_quantity(name, length.quantity)
-        case Quantity() as quantity:
-            return _of_quantity(name, quantity)
-        case int() | float() as value:
-            unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
-            return CsvNumber(name.removesuffix(f"_{unit}") if unit else name, value, unit or "1")
-        case _:
-            return None
-
-
-def _of_quantity(name: str, quantity: Quantity) -> CsvNumber:
-    return CsvNumber(name, quantity.value, quantity.unit, quantity.expanded, quantity.status)
+            place = [f"{part.place.x_um:.2f}", f"{part.place.y_um:.2f}"]
+            yield from ((row, f"{kind} {k} {row.name}", place) for row in _numbers(part))
 
 
 def _identity_cells(finding: AnyResult) -> list[object]:
     return [finding.number, finding.name, finding.__struct_config__.tag]
 
 
-def _cells(number: CsvNumber) -> list[object]:
-    has_uncertainty = number.expanded is not None
-    return [
-        number.name,
-        f"{number.value:.6g}",
-        f"{number.expanded:.2g}" if has_uncertainty else "",
-        number.unit,
-        2 if has_uncertainty else "",
-        number.status,
-    ]
+def _cells(row: Row, name: str) -> list[object]:
+    if not isinstance(row.value, Quantity):
+        return [name, f"{row.value:.6g}", "", row.unit or "1", "", ""]
+    value, expanded = row.value, row.value.expanded
+    u, k = ("", "") if expanded is None else (f"{expanded:.2g}", 2)
+    return [name, f"{value.value:.6g}", u, value.unit, k, value.status]
 
 
 def _place(finding: AnyResult) -> list[str]:
