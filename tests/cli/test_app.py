@@ -6,13 +6,14 @@ import json
 import re
 import signal
 import socket
-import subprocess
-import sys
+import time
+from subprocess import DEVNULL
 
 import numpy as np
 import pytest
 import tifffile
 
+from tests.support.command_line import process, refused, start, viewer
 from tests.support.paths import ROOT
 from wafer_viewer.cli.app import commands
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -32,29 +33,6 @@ y0_um = 560.0
 z_step_um = 4.0
 n_frames = {frames}
 """
-
-
-def start(*words, cwd=None):
-    command = [sys.executable, "-m", "wafer_viewer", *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
-
-
-def viewer(*words, cwd=None):
-    running = start(*words, cwd=cwd)
-    out, err = running.communicate(timeout=240)
-    return subprocess.CompletedProcess(words, running.returncode, out, err)
-
-
-def refused(*words, cwd=None):
-    """One sentence on standard error, status 2, nothing on standard output."""
-    done = viewer(*words, cwd=cwd)
-    assert done.returncode == 2, done
-    assert done.stdout == ""
-    assert "Traceback" not in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("wafer-viewer: ")
-    assert "│" not in done.stderr
-    return done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -94,20 +72,21 @@ def images(tmp_path):
     return folder
 
 
-def test_the_overview_names_every_command():
-    printed = viewer("--help")
+def test_a_process_prints_help_and_ends_with_its_status(tmp_path):
+    printed = process("--help")
     assert printed.returncode == 0
     assert all(f"  {name} " in printed.stdout for name in commands())
+    assert "none.toml cannot be read" in refused("plan", "none.toml", cwd=tmp_path, run=process)
+
+
+def test_every_command_explains_itself_without_frames():
+    for command in commands():
+        printed = viewer(*command.split(), "--help")
+        assert printed.returncode == 0, printed.stderr
+        assert printed.stdout.startswith(f"usage: wafer-viewer {command} ")
+        assert not set("│╭─╰") & set(printed.stdout), command
+        assert "---" not in printed.stdout, command
     assert viewer("--version").stdout.startswith("wafer-viewer ")
-
-
-@pytest.mark.parametrize("command", commands())
-def test_every_command_explains_itself_without_frames(command):
-    printed = viewer(*command.split(), "--help")
-    assert printed.returncode == 0, printed.stderr
-    assert printed.stdout.startswith(f"usage: wafer-viewer {command} ")
-    assert not set("│╭─╰") & set(printed.stdout)
-    assert "---" not in printed.stdout
 
 
 def test_a_plan_is_priced_as_a_table_and_as_json(plan):
@@ -246,11 +225,11 @@ def test_a_stage_that_never_arrives_ends_the_scan(plan, tmp_path):
 
 
 def test_a_scan_that_was_interrupted_continues(tmp_path):
-    (tmp_path / "plan.toml").write_text(PLAN.format(frames=400).replace("z_step_um = 4.0", "z_step_um = 0.1"))
+    (tmp_path / "plan.toml").write_text(PLAN.format(frames=120).replace("z_step_um = 4.0", "z_step_um = 0.1"))
     first = start("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
     journal = tmp_path / "long.wafer" / "journal.jsonl"
     while first.poll() is None and not (journal.exists() and journal.stat().st_size > 2000):
-        pass
+        time.sleep(0.01)
     first.send_signal(signal.SIGINT)
     out, err = first.communicate(timeout=240)
     assert first.returncode == 130, err
@@ -259,9 +238,9 @@ def test_a_scan_that_was_interrupted_continues(tmp_path):
     refused("scan", tmp_path / "plan.toml", "-o", tmp_path / "long.wafer" / "frames")
     second = viewer("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
     assert second.returncode == 0, second.stderr
-    assert "800 of 800 frames" in second.stdout
+    assert "240 of 240 frames" in second.stdout
     assert "has all its frames" in refused("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
-    (tmp_path / "plan.toml").write_text(PLAN.format(frames=401))
+    (tmp_path / "plan.toml").write_text(PLAN.format(frames=121))
     assert "another plan" in refused("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
 
 
@@ -321,26 +300,19 @@ def test_an_import_is_a_dataset(images, tmp_path):
     assert viewer("check", out).returncode == 0
 
 
-def test_the_doctor_says_what_there_is(tmp_path):
+def test_the_doctor_says_what_there_is_and_compiles_what_a_surface_needs(tmp_path, monkeypatch):
+    compiled = []
+    monkeypatch.setattr("wafer_viewer.session.surface.worker_tasks.warm_up", lambda: compiled.append("all"))
     printed = viewer("doctor", "--data", tmp_path)
     assert printed.returncode in (0, 1), printed.stderr
+    assert compiled == ["all"]
+    assert "ok   Kernels: compiled for this processor" in printed.stdout
     assert "SIMULATED, answers" in printed.stdout
     assert all(line[:4] in ("ok  ", "LACK", "    ") for line in printed.stdout.splitlines())
 
 
-@pytest.mark.slow
-def test_after_the_doctor_no_surface_waits_for_a_compiler(images, tmp_path, monkeypatch):
-    cache, out = tmp_path / "cache", tmp_path / "surface.npz"
-    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(cache))
-    assert "ok   Kernels: compiled for this processor" in viewer("doctor", "--data", tmp_path).stdout
-    compiled = sorted(cache.rglob("*.nbc"))
-    assert compiled
-    done = viewer("reconstruct", images, "-o", out, "--z-step-um", 2, "--pixel-um", 0.5)
-    assert done.returncode == 0, done.stderr
-    assert sorted(cache.rglob("*.nbc")) == compiled
-
-
-def test_the_doctor_checks_the_devices_of_a_rig_and_moves_on_request_only(tmp_path):
+def test_the_doctor_checks_the_devices_of_a_rig_and_moves_on_request_only(tmp_path, monkeypatch):
+    monkeypatch.setattr("wafer_viewer.session.surface.worker_tasks.warm_up", list)
     rig = ROOT / "assets/rigs/zaber_simulated.toml"
     still = viewer("doctor", "--data", tmp_path, "--rig", rig).stdout
     assert "Controller 'stage' at simulated: SIMULATED, Zaber device 1" in still
@@ -373,11 +345,10 @@ BAD_FLAGS = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_FLAGS)
-def test_a_wrong_command_line_is_one_sentence_and_leaves_nothing(case, tmp_path):
-    words, printed = BAD_FLAGS[case]
-    assert printed in refused(*words, cwd=tmp_path)
-    assert not list(tmp_path.iterdir())
+def test_a_wrong_command_line_is_one_sentence_and_leaves_nothing(tmp_path):
+    for case, (words, printed) in BAD_FLAGS.items():
+        assert printed in refused(*words, cwd=tmp_path), case
+        assert not list(tmp_path.iterdir()), case
 
 
 BAD_PLANS = {
@@ -391,12 +362,11 @@ BAD_PLANS = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_PLANS)
-def test_a_wrong_plan_is_one_sentence_and_nothing_is_scanned(case, tmp_path):
-    good, bad, printed = BAD_PLANS[case]
-    (tmp_path / "plan.toml").write_text(PLAN.format(frames=12).replace(good, bad))
-    assert printed in refused("scan", "plan.toml", "-o", "new.wafer", cwd=tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == ["plan.toml"]
+def test_a_wrong_plan_is_one_sentence_and_nothing_is_scanned(tmp_path):
+    for case, (good, bad, printed) in BAD_PLANS.items():
+        (tmp_path / "plan.toml").write_text(PLAN.format(frames=12).replace(good, bad))
+        assert printed in refused("scan", "plan.toml", "-o", "new.wafer", cwd=tmp_path), case
+        assert [p.name for p in tmp_path.iterdir()] == ["plan.toml"], case
 
 
 @pytest.mark.parametrize("command", ["import", "reconstruct"])
@@ -447,12 +417,7 @@ def test_the_viewer_prints_its_address_and_ends_with_ctrl_c(tmp_path):
 
 def test_a_page_for_other_machines_needs_a_password_and_is_served_by_tls(tmp_path):
     other = "serve", "--host", "127.0.0.2", "--port", 0, "--data", tmp_path
-    no_terminal = subprocess.run(
-        [sys.executable, "-m", "wafer_viewer", *map(str, other)],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-    )
+    no_terminal = process(*other, stdin=DEVNULL)
     assert no_terminal.returncode == 2
     assert "without a password: start it once in a terminal" in no_terminal.stderr
     assert "is for a page that others reach" in refused("serve", "--new-password", "--data", tmp_path)

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 import wafer_viewer as wv
+from tests.support.command_line import viewer
 from tests.support.compared_surfaces import a_texture, taken, tilted, with_bump
 from tests.support.datasets.compared_datasets import BUMP_UM, SHIFT_UM, two_datasets
 from wafer_viewer.store.formats.npz_file import write_npz
 
 pytestmark = pytest.mark.slow
-
-
-def viewer(*words, cwd):
-    command = [sys.executable, "-m", "wafer_viewer", "compare", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +26,17 @@ def folder(tmp_path_factory):
 
 
 def test_files_are_compared_and_the_difference_is_a_file(folder):
-    done = viewer("a.npz", "b.npz", "-o", "off.npz", cwd=folder)
+    done = viewer("compare", "a.npz", "b.npz", "-o", "off.npz", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
     found = json.loads(done.stdout)
     assert found["registration"]["x_um"] == pytest.approx(SHIFT_UM[0], abs=found["registration"]["u_xy_um"])
     off = wv.read_npz(folder / "off.npz")
     assert float(np.nanmean(off.z_raw_um)) == pytest.approx(found["change"]["mean_um"], abs=1e-4)
-    assert viewer("a.npz", "b.npz", "--align", "none", cwd=folder).returncode == 0
+    assert viewer("compare", "a.npz", "b.npz", "--align", "none", cwd=folder).returncode == 0
 
 
 def test_a_difference_is_kept_with_the_first_dataset_under_a_name(folder):
-    done = viewer("before.wafer", "after.wafer", "-o", "later", cwd=folder)
+    done = viewer("compare", "before.wafer", "after.wafer", "-o", "later", cwd=folder)
     assert done.returncode == 0, done.stderr
     change = json.loads(done.stdout)["change"]
     assert change["gained_um3"] - change["lost_um3"] == pytest.approx(40 * 60 * BUMP_UM, rel=0.05)
@@ -64,7 +58,7 @@ def test_a_difference_is_kept_with_the_first_dataset_under_a_name(folder):
 )
 def test_what_cannot_be_is_one_sentence_with_status_2_and_leaves_nothing(folder, words, says):
     before = sorted(p.name for p in folder.rglob("*"))
-    done = viewer(*words, cwd=folder)
+    done = viewer("compare", *words, cwd=folder)
     assert (done.returncode, done.stdout) == (2, "")
     assert says in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

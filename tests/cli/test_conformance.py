@@ -10,7 +10,7 @@ import tomllib
 import pytest
 import tomli_w
 
-from tests.cli.test_app import viewer
+from tests.support.command_line import viewer
 from tests.support.paths import ROOT
 from wafer_viewer.acquire.conformance.runner import CHECKS
 from wafer_viewer.cli.app import main

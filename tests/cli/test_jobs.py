@@ -9,7 +9,7 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.cli.test_app import viewer
+from tests.support.command_line import viewer
 from tests.support.datasets.unsigned import without_manifests
 from tests.test_house import ROOT
 from wafer_viewer import Dataset, step_height

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
+from tests.support.command_line import viewer
 from tests.support.surfaces import calibration, coordinates, noise_of, surface_of
 from wafer_viewer.cli.app import commands, main
 from wafer_viewer.store.formats.npz_file import write_npz
@@ -166,7 +165,6 @@ def test_what_cannot_be_measured_is_one_sentence(refused, tool, flags, sentence)
 def test_each_is_a_command_with_help():
     tools = [name for name in commands() if name.startswith("measure ")]
     assert len(tools) >= 9
-    command = [sys.executable, "-m", "wafer_viewer", "measure", "radius", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = viewer("measure", "radius", "--help")
     assert "--circle X Y RADIUS" in done.stdout
     assert "form [ORDER]" in " ".join(done.stdout.split())
