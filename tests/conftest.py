@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import signal
+from collections import Counter
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
 from markupsafe import Markup
 
-from tests.support.campaigns import COMPLETE, SHARE, draw, is_drawn
+from tests.support.campaigns import COMPLETE, SHARE, draw, examples, is_drawn
+from tests.support.durations import RENEWS, recorded, renew
 from tests.support.patience import PATIENCE_S
 
 # Started in the background a shell lets its children ignore ctrl-C, and theirs inherit that: the programs under test
@@ -17,17 +19,21 @@ from tests.support.patience import PATIENCE_S
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-LONGEST_FIRST = (
-    *("test_true_tour.py", "test_true_interruptions.py", "test_true_defects.py"),
-    *("test_app.py", "test_readme.py", "test_edge_bleeding.py", "test_tampering.py", "test_wheel.py"),
-    *("test_dask_cluster.py", "test_session.py", "test_warm_up.py", "test_guided_tour.py"),
-)
-"""Files that take minutes: begun last, they are what the other worker waits for."""
+took: Counter[str] = Counter()
+"""Seconds by file."""
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    took[report.nodeid.partition("::")[0]] += report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if RENEWS and not hasattr(session.config, "workerinput"):
+        renew(took)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    rank = {name: k for k, name in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    items.sort(key=lambda item: -recorded().get(item.nodeid.partition("::")[0], 0.0))
     if skipped := [item for item in items if not runs_now(item)]:
         config.hook.pytest_deselected(items=skipped)
         items[:] = [item for item in items if runs_now(item)]
@@ -45,8 +51,9 @@ def pytest_report_header() -> str:
 
 
 # How long an example takes tells of the machine and of what else it does.
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")
+settings.register_profile("campaign", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("tenth", settings.get_profile("campaign"), max_examples=examples(100))
+settings.load_profile("campaign" if COMPLETE else "tenth")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -129,7 +129,7 @@ end_types() {
   return "$failed"
 }
 
-# Of files that go to one worker as a whole, the longest are begun first (tests/conftest.py says which).
+# Of files that go to one worker as a whole, the longest are begun first (tests/support/durations.py).
 run_tests() {
   "$bin/python" -m pytest -q --durations=25 --no-loadscope-reorder "$@"
 }

@@ -11,47 +11,48 @@ from itertools import pairwise, takewhile
 
 import pytest
 
-from tests.conftest import LONGEST_FIRST
+from tests.support.durations import LEAST_S, recorded, renewed
 from tests.support.parsed_modules import MODULES, parsed
 from tests.support.paths import ROOT
 
 DRAWS_HTML = [m for m in MODULES if {"gui", "charts"} & set(m.relative_to(ROOT).parts)]
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_a_file_has_one_subject(module):
-    assert len(module.read_text().splitlines()) <= 600
+def name(module):
+    return str(module.relative_to(ROOT))
+
+
+def test_a_file_has_one_subject():
+    assert not [name(module) for module in MODULES if len(module.read_text().splitlines()) > 600]
 
 
 QUESTIONS = {"What", "How", "Where", "Whether", "When", "Who", "Which", "Why"}
 MOST_FILES = 23
 MOST_SHARED_NAMES = 10
 DEFINED_ONCE = ("Stage", "Field", "Camera", "Frame", "Gate", "Profile")
-EXPLAINED_ROOMS = ("numerics", "measure", "acquire", "calibrate", "reconstruct")
+EXPLAINED_ROOMS = {"numerics", "measure", "acquire", "calibrate", "reconstruct"}
+EXPLAINED = [module for module in MODULES if module.relative_to(ROOT).parts[1] in EXPLAINED_ROOMS]
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_a_docstring_begins_with_a_verb_or_a_noun(module):
-    assert not [text for text in parsed(module).docstrings if text.split()[0].rstrip(",.:") in QUESTIONS]
+def test_a_docstring_begins_with_a_verb_or_a_noun():
+    texts = ((name(module), text.split()[0]) for module in MODULES for text in parsed(module).docstrings)
+    assert not [(module, first) for module, first in texts if first.rstrip(",.:") in QUESTIONS]
 
 
-@pytest.mark.parametrize("room", EXPLAINED_ROOMS)
-def test_a_number_says_what_it_means(room):
+def test_a_number_says_what_it_means():
     assert not [
-        f"{module.relative_to(ROOT)}:{node.lineno}"
-        for module in MODULES
-        if module.is_relative_to(ROOT / "wafer_viewer" / room)
+        f"{name(module)}:{node.lineno}"
+        for module in EXPLAINED
         for node, below in pairwise([*ast.parse(module.read_text()).body, ast.Pass()])
         if isinstance(node, ast.Assign | ast.AnnAssign) and holds_a_number(node.value) and not is_text(below)
     ]
 
 
-@pytest.mark.parametrize("room", EXPLAINED_ROOMS)
-def test_parameters_of_an_algorithm_say_what_they_mean(room):
+def test_parameters_of_an_algorithm_say_what_they_mean():
     structs = [
         node
-        for module in MODULES
-        if module.is_relative_to(ROOT / "wafer_viewer" / room) and "Parameters" in (text := module.read_text())
+        for module in EXPLAINED
+        if "Parameters" in (text := module.read_text())
         for node in ast.parse(text).body
         if isinstance(node, ast.ClassDef) and node.name.endswith("Parameters")
     ]
@@ -70,20 +71,20 @@ def is_text(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
-@pytest.mark.parametrize("module", DRAWS_HTML, ids=lambda p: str(p.relative_to(ROOT)))
-def test_html_is_written_as_markup(module):
+def test_html_is_written_as_markup():
     """An f-string with a tag would put a value into the page unescaped."""
-    parts = (part for text in parsed(module).f_strings for part in text.values)
+    parts = (part for module in DRAWS_HTML for text in parsed(module).f_strings for part in text.values)
     literals = [part.value for part in parts if isinstance(part, ast.Constant)]
     assert not [text for text in literals if re.search(r"<[a-zA-Z/!]", text)]
-    plain = [call for call in parsed(module).joins if isinstance(call.func.value, ast.Constant)]
+    joins = (call for module in DRAWS_HTML for call in parsed(module).joins)
+    plain = [call for call in joins if isinstance(call.func.value, ast.Constant)]
     assert not [ast.unparse(call) for call in plain if "Markup(" in ast.unparse(call.args[0])], "text joins to text"
 
 
-@pytest.mark.parametrize("module", DRAWS_HTML, ids=lambda p: str(p.relative_to(ROOT)))
-def test_html_has_no_handlers(module):
+def test_html_has_no_handlers():
     """The policy of the page refuses them: what an element does is in gui/static/events.js."""
-    assert re.findall(r"[\s\"']on[a-z]+=\\?[\"'{]", module.read_text()) == []
+    handler = re.compile(r"[\s\"']on[a-z]+=\\?[\"'{]")
+    assert not [(name(module), found) for module in DRAWS_HTML for found in handler.findall(module.read_text())]
 
 
 def test_a_room_has_no_room_hidden_in_it():
@@ -173,5 +174,10 @@ def test_what_needs_the_machine_for_itself_lies_where_the_checks_look_for_it():
     assert '-m "real_time and not hardware" tests/rigs' in (ROOT / "tests/run.sh").read_text()
 
 
-def test_the_longest_files_of_the_tests_are_there_to_be_begun_first():
-    assert set(LONGEST_FIRST) <= {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+def test_recorded_durations_are_of_files_that_are_there():
+    assert recorded()
+    assert not [file for file in recorded() if not (ROOT / file).is_file()]
+    assert min(recorded().values()) >= LEAST_S
+    took = {"tests/test_house.py": 9.2, "tests/test_api.py": 0.1}
+    before = {"tests/test_api.py": 5.0, "tests/test_readme.py": 60.0, "tests/test_gone.py": 7.0}
+    assert list(renewed(before, took).items()) == [("tests/test_readme.py", 60.0), ("tests/test_house.py", 9.2)]

@@ -8,6 +8,7 @@ import pytest
 from tests.acquire.ledger import Ledger
 from tests.rigs.pulse_box.firmware_box import FirmwareBox
 from tests.rigs.pulse_box.worlds import build, missing_tools
+from tests.support.campaigns import drawn_after
 from wafer_viewer.acquire.conformance.runner import CHECKS, run_checks
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.rigs.virtual.faults import Faults
@@ -45,7 +46,7 @@ GAUGE_JOB = {"rows": 7, "cols": 9, "n_frames": 126}
     ("strategy", "job"),
     [
         *((strategy, {"n_frames": 60}) for strategy in STRATEGIES),
-        pytest.param("z_snake", GAUGE_JOB, marks=pytest.mark.slow, id="a gauge-block job, 7938 frames"),
+        pytest.param("z_snake", GAUGE_JOB, marks=[pytest.mark.slow, pytest.mark.campaign], id="7938 frames"),
     ],
 )
 def test_frames_are_bit_for_bit_those_of_the_virtual_box(
@@ -63,7 +64,7 @@ def test_frames_are_bit_for_bit_those_of_the_virtual_box(
         np.testing.assert_array_equal(a.image, b.image)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", drawn_after(2, range(12)))
 def test_slips_restarts_and_disturbed_lines_at_random_put_no_frame_into_a_wrong_slot(
     seed, virtual_rig, small_plan, control, place, with_firmware
 ):

@@ -9,6 +9,7 @@ from tests.acquire.conftest import COLS, ROWS, PlaceRenderer
 from tests.acquire.ledger import Ledger
 from tests.bench.bench_plan import JOBS
 from tests.rigs.pulse_box.worlds import build, missing_tools
+from tests.support.campaigns import drawn_after
 from tests.support.hybrid_rig import hybrid_rig, played_back_rig, without_ringing
 from tests.support.placed_scene import PlacedScene, pictured, raw_heights_um
 from tests.support.planted_faults import scan_with_faults, z_error_counts
@@ -70,6 +71,7 @@ def test_frames_have_the_labels_and_within_the_latency_the_places_of_the_virtual
         assert 0 < direction * (late_um - z_um) <= speed_um_s * LATENCY_US * 1e-6
 
 
+@pytest.mark.campaign
 def test_heights_are_bit_for_bit_those_of_the_virtual_box_that_fires_as_late(firmware, control):
     limits = virtual_limits(50, 64)
     settings = {"renderer": PlacedScene(scene_renderer("gauge_blocks", limits)), "limits": limits, "seed": 0}
@@ -97,6 +99,7 @@ def test_heights_are_bit_for_bit_those_of_the_virtual_box_that_fires_as_late(fir
     np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.campaign
 def test_a_second_run_is_the_same_to_the_microsecond(switch_on, recorder, control):
     sinks = recorder, type(recorder)()
     for sink in sinks:
@@ -121,6 +124,7 @@ def test_moves_faster_than_the_board_counts_cost_it_no_time(switch_on):
     assert after.offset_us - before.offset_us == pytest.approx(20e-6 * (after.at_us - before.at_us), abs=5.0)
 
 
+@pytest.mark.campaign
 def test_faults_at_random_are_found_and_put_no_frame_into_a_wrong_slot(switch_on, control, place):
     with switch_on() as rig:
         plan = plan_of(rig, rows=2, cols=4)
@@ -132,7 +136,7 @@ def test_faults_at_random_are_found_and_put_no_frame_into_a_wrong_slot(switch_on
     assert len(done.ledger.kept) == plan.n_frames
 
 
-@pytest.mark.parametrize("counts", [1, 2, 3, 4])
+@pytest.mark.parametrize("counts", drawn_after(1, [1, 2, 3, 4]))
 def test_a_slip_of_few_counts_at_the_scale_is_found(counts, switch_on, control, place):
     ledger = Ledger()
     with switch_on() as rig:

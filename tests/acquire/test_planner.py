@@ -6,6 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.acquire.planner import STRATEGIES, plan_scan, price_all
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Shot
 from wafer_viewer.model.errors import PlanError
@@ -38,7 +39,7 @@ def price(strategy, fields=GAUGE_BLOCKS, sweep=SWEEP, exposures_us=(100.0,), lim
     return next(p for p in price_all(fields, sweep, exposures_us, limits) if p.strategy == strategy)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     strategy=st.sampled_from(list(STRATEGIES)),
     rows=st.integers(1, 4),

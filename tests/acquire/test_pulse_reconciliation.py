@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Reconciler, Timing
 from wafer_viewer.model.acquisition.devices import CameraImage, Pulse
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus
@@ -53,7 +54,7 @@ def right(frame, one):
     return one.shots[int(frame.image[0, 0])] == frame.shot
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(
     lost=st.sets(st.integers(0, N - 1), max_size=12),
     counter=st.booleans(),

@@ -20,7 +20,14 @@ def bench(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("stage", "n_kills"), [("scan", 4), ("heights", 2), ("stitch", 2), ("results", 1), ("export", 1)]
+    ("stage", "n_kills"),
+    [
+        ("scan", 1),
+        *(
+            pytest.param(stage, n, marks=pytest.mark.campaign)
+            for stage, n in (("scan", 4), ("heights", 2), ("stitch", 2), ("results", 1), ("export", 1))
+        ),
+    ],
 )
 def test_a_kill_loses_and_alters_nothing_and_is_in_the_way_of_nothing(bench, stage, n_kills):
     assert stage in STAGES

@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 
+from tests.support.campaigns import drawn_after
 from tests.support.datasets.complete_dataset import complete_dataset
 from wafer_viewer.cli.app import main
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -22,16 +23,19 @@ def whole(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "poses.npz",
-        "recipe.json",
-        "settled.json",
-        "surfaces/r0000c0000.npz",
-        "mosaic.zarr/zarr.json",
-        "mosaic.zarr/z_um/0/c/0/0",
-        "mosaic.zarr/facts/c/0/0/0",
-        "verdict.json",
-    ],
+    drawn_after(
+        3,
+        [
+            "poses.npz",
+            "recipe.json",
+            "settled.json",
+            "surfaces/r0000c0000.npz",
+            "mosaic.zarr/zarr.json",
+            "mosaic.zarr/z_um/0/c/0/0",
+            "mosaic.zarr/facts/c/0/0/0",
+            "verdict.json",
+        ],
+    ),
 )
 def test_the_command_that_the_check_names_mends_a_damaged_file(whole, name, tmp_path, monkeypatch, capsys):
     path = shutil.copytree(whole, tmp_path / "a.wafer")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from tests.support.campaigns import drawn_after
 from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, seen
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
@@ -37,7 +38,7 @@ def width_um(stack: FieldStack) -> float:
     return float(tune_recipe(prepare(stack), Recipe()).recipe.focus_width_um)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", drawn_after(2, SEEDS))
 def test_the_width_stays_within_what_optics_allow(seed: int):
     one = scene(seed)
     depth_um = one.scene.depth_of_field_um
@@ -46,6 +47,7 @@ def test_the_width_stays_within_what_optics_allow(seed: int):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("depth", ["known", "unknown"])
 def test_a_bounded_width_keeps_false_heights_away(depth: str):
     shares = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.support.campaigns import drawn_after
 from tests.truth.relief import drawn_relief
 from tests.truth.scenes import plane
 from tests.truth.views import Camera, Optics, stack_of
@@ -14,7 +15,9 @@ from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [6, 9, 15])  # waves, rough ground with coarse texture, a plane along a diagonal
+@pytest.mark.parametrize(
+    "seed", drawn_after(1, [6, 9, 15])
+)  # waves, rough ground with coarse texture, a plane along a diagonal
 def test_smooth_relief_is_no_wall_and_no_step(seed: int) -> None:
     relief = drawn_relief(seed, 128)
     height = reconstruct(relief.stack, threads=1)

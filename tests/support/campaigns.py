@@ -13,6 +13,9 @@ import zlib
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
+import pytest
+from _pytest.mark.structures import ParameterSet
+
 from tests.support.paths import ROOT
 
 T = TypeVar("T")
@@ -41,3 +44,14 @@ def drawn_cases(cases: Iterable[T], name: Callable[[T], str] = str) -> list[T]:
     cases = list(cases)
     one = zlib.crc32(draw().encode()) % max(len(cases), 1)
     return [case for case in cases if is_drawn(name(case))] or cases[one : one + 1]
+
+
+def drawn_after(always: int, cases: Iterable[T]) -> list[T | ParameterSet]:
+    """Return parameters of a test: the first so many in every run, the others as campaigns."""
+    cases = list(cases)
+    return [*cases[:always], *(pytest.param(case, marks=pytest.mark.campaign) for case in cases[always:])]
+
+
+def examples(n: int) -> int:
+    """Return how many of `n` random examples are tried: all in a complete campaign, else a tenth, at least five."""
+    return n if COMPLETE else min(n, max(n // SHARE, 5))

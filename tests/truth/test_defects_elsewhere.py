@@ -51,6 +51,7 @@ def matched_on(surface: Mosaic, what: tuple[Planted, ...]) -> Matched:
     return match(what, inspect(surface, find_dies(surface)).found)
 
 
+@pytest.mark.campaign
 def test_stitched_fields_show_what_is_plain_and_little_else():
     plan = Plan(cols=4, rows=4, seed=41, odd_dies=False)
     what = planted(plan, SIGMA_UM)
@@ -62,6 +63,7 @@ def test_stitched_fields_show_what_is_plain_and_little_else():
     assert len(matched.false) <= MOST_FALSE
 
 
+@pytest.mark.campaign
 def test_defects_visible_only_in_height_are_found_if_large():
     """About six in ten: on single wafers it is two of five to six of seven."""
     wafers = [make(Plan(cols=6, rows=5, seed=seed, seen=False, odd_dies=False), SIGMA_UM) for seed in (31, 33)]

@@ -64,6 +64,7 @@ def test_a_missing_and_a_tilted_die_are_found_as_such(seen: Seen):
     assert (kinds.get("missing die"), kinds.get("tilted die")) == ("missing die", "tilted die")
 
 
+@pytest.mark.campaign
 def test_a_wafer_without_defects_has_few():
     made = make(Plan(cols=5, rows=4, seed=11, defective=0.0, odd_dies=False), SIGMA_UM)
     clean = inspect(made.surface, find_dies(made.surface))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.bench.bench_grids import judged, limit_px
+from tests.support.campaigns import drawn_after
 from tests.truth.drawn_grids import PIXEL_UM, drawn, made, narrowed, planted
 from wafer_viewer.reconstruct.registration.misfit_search import search_misfits
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
@@ -27,8 +28,15 @@ def test_a_seed_always_stands_for_the_same_grid():
     assert (first.heights[3].all_in_focus == again.heights[3].all_in_focus).all()
 
 
-@pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind, seeds in SEEDS.items() for seed in seeds])
-def test_fields_are_where_they_truly_are(kind: str, seed: int) -> None:
+def seeds_of(kinds: dict[str, tuple[int, ...]]) -> list[object]:
+    """One grid of each kind in every run, the others as campaigns."""
+    pairs = [(kind, seeds[n]) for n in range(9) for kind, seeds in kinds.items() if n < len(seeds)]
+    return drawn_after(len(kinds), pairs)
+
+
+@pytest.mark.parametrize("drawn_from", seeds_of(SEEDS), ids=str)
+def test_fields_are_where_they_truly_are(drawn_from: tuple[str, int]) -> None:
+    kind, seed = drawn_from
     grid = drawn(seed)
     assert grid.kind == kind
     found = judged(made(grid))
@@ -54,14 +62,16 @@ def test_a_dent_of_the_misfit_along_a_street_is_no_place() -> None:
     assert np.linalg.eigvalsh(covariance)[0] < (0.2 * PIXEL_UM) ** 2
 
 
+@pytest.mark.campaign
 def test_many_fields_of_large_dies_are_placed_under_light_that_falls_off() -> None:
     found = judged(made(planted("dies of 170 px, 16 x 13", 0)))
     assert found.rms_px < 0.04
     assert (found.wrong, found.found, found.alarms) == (0, found.planted, 0)
 
 
-@pytest.mark.parametrize(("what", "seed"), [(what, seed) for what, seeds in MISFITS.items() for seed in seeds])
-def test_misfits_among_dies_are_found_and_named(what: str, seed: int) -> None:
+@pytest.mark.parametrize("drawn_from", seeds_of(MISFITS), ids=str)
+def test_misfits_among_dies_are_found_and_named(drawn_from: tuple[str, int]) -> None:
+    what, seed = drawn_from
     found = judged(made(drawn(seed)))
     assert (found.found, found.alarms) == (found.planted, 0)
     assert sum(what in note and "left out" in note for note in found.notes) == 1

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.measure.base.correlated_errors import tile_means
 from wafer_viewer.measure.base.height_samples import HeightSamples
 from wafer_viewer.measure.base.robust_fit import fit_plane, least_squares, robust_fit
@@ -19,7 +20,7 @@ def scattered(n=2000, seed=1):
 
 
 @given(a=SLOPES, b=SLOPES, c=st.floats(-1e4, 1e4))
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_a_plane_far_from_the_origin_is_found_exactly(a, b, c):
     _, x_um, y_um = scattered()
     plane, fit = fit_plane(HeightSamples(x_um, y_um, a * x_um + b * y_um + c))

@@ -59,6 +59,7 @@ def _half(um):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_the_uncertainty_of_coplanarity_covers_its_error():
     made = [bumped(side=3, seed=seed) for seed in range(6)]
     found = [found_on(one).coplanarity for one in made]

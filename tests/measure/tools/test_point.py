@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.support.campaigns import drawn_after
 from tests.support.surfaces import calibration, coordinates, gauge_blocks, noise_of, surface_of
 from wafer_viewer.measure.base.levelled_surface import levelled
 from wafer_viewer.measure.tools.point import distance, point_height
@@ -39,7 +40,7 @@ def test_a_height_without_noise_is_that_of_the_surface():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("correlation_px", [0.0, 8.0])
+@pytest.mark.parametrize("correlation_px", drawn_after(1, [0.0, 8.0]))
 def test_the_uncertainty_covers_the_noise_of_a_height(correlation_px):
     surfaces = [slope(seed, 0.5, correlation_px) for seed in range(12)]
     places = [(x, y) for x in range(-60, 61, 20) for y in (-30, 0, 30)]

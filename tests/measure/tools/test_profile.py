@@ -5,6 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from tests.support.surfaces import calibration, coordinates, surface_of
 from wafer_viewer.measure.tools import profile as module
 from wafer_viewer.measure.tools.profile import profile
@@ -24,7 +25,7 @@ INSIDE = st.tuples(st.floats(-28, 28), st.floats(-18, 18))
 
 @given(start=INSIDE, end=INSIDE, width_um=st.floats(0, 3))
 @example(start=(1.2e-07, -1.0), end=(-1.0, -1.0), width_um=0.0)
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_a_plane_is_cut_exactly_along_any_line(start, end, width_um):
     if np.hypot(end[0] - start[0], end[1] - start[1]) < 1:
         return

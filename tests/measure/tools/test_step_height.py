@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import drawn_after, examples
 from tests.support.surfaces import STEP_UM, calibration, gauge_blocks, surface_of
 from wafer_viewer.measure.base import height_samples
 from wafer_viewer.measure.tools.step_height import step_height
@@ -48,7 +49,7 @@ def test_the_bias_over_many_scans_is_under_ten_nanometres():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("correlation_px", [0.0, 2.0, 8.0, 20.0])
+@pytest.mark.parametrize("correlation_px", drawn_after(1, [2.0, 0.0, 8.0, 20.0]))
 def test_the_uncertainty_covers_the_error_of_correlated_noise(correlation_px):
     steps = [step_height(gauge_blocks(s, 1.0, correlation_px, u_z_scale=0.0), UPPER, LOWER) for s in range(20)]
     errors = np.array([s.height.value_um - STEP_UM for s in steps])
@@ -239,7 +240,7 @@ def surface_of_half(fine):
 
 
 @given(height=st.floats(-500, 500), slope_x=st.floats(-0.05, 0.05), slope_y=st.floats(-0.05, 0.05))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_any_step_on_any_plane_is_found(height, slope_x, slope_y):
     x_um, y_um = np.meshgrid((np.arange(120) - 59.5) * 0.5, (29.5 - np.arange(60)) * 0.5)
     surface = surface_of(slope_x * x_um + slope_y * y_um + np.where(x_um < 0, height, 0.0))

@@ -7,10 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import binary_opening, label
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seed=st.integers(0, 500), share=st.floats(0.3, 0.8), min_pixels=st.integers(1, 12))
 def test_islands_of_two_levels_are_those_of_scipy(seed: int, share: float, min_pixels: int) -> None:
     rng = np.random.default_rng(seed)
@@ -29,7 +30,7 @@ def test_a_slope_hangs_together() -> None:
     assert (component_sizes(z, 4.0) == 3).all()
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seed=st.integers(0, 500), share=st.floats(0.6, 0.98), side=st.integers(2, 5))
 def test_narrow_parts_are_what_an_opening_removes(seed: int, share: float, side: int) -> None:
     z = np.where(np.random.default_rng(seed).random((24, 33)) < share, 0.0, np.nan).astype(np.float32)
@@ -47,7 +48,7 @@ def test_a_strip_between_steps_is_narrow() -> None:
     assert not narrow_parts(z, 6.0, 3).any()
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seed=st.integers(0, 500), share=st.floats(0.3, 0.8), depth=st.integers(1, 14))
 def test_components_at_the_border_are_those_that_reach_no_deeper(seed: int, share: float, depth: int) -> None:
     mask = np.random.default_rng(seed).random((24, 33)) < share

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.filters.denoising import LINE_REACH_PX, beside_lines, line_medians_at, line_outliers
 
 ALONG = ((0, 1), (1, 0), (1, 1), (1, -1))
@@ -26,7 +27,7 @@ def _lines(padded: NDArray, row: int, col: int) -> list[NDArray]:
     return [np.sort(line[np.isfinite(line)]) for line in lines]
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.3]), limit=st.floats(0.05, 1.5))
 def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limit: float) -> None:
     padded = _map(seed, holes)
@@ -42,7 +43,7 @@ def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limi
             assert far[r, c] == (away > limit)
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.5]))
 def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: float) -> None:
     padded = _map(seed, holes)
@@ -51,7 +52,7 @@ def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: flo
     np.testing.assert_allclose(line_medians_at(padded, rows, cols), expected, atol=1e-6)
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(seed=st.integers(0, 500), changed=st.integers(0, 6))
 def test_what_changes_shows_only_beside_the_lines_through_it(seed: int, changed: int) -> None:
     rng = np.random.default_rng(seed)

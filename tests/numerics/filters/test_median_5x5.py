@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.filters.denoising import median_outliers, medians_at, pad_with_nan
 
 
@@ -19,7 +20,7 @@ def _map(seed: int, holes: float) -> NDArray[np.float32]:
 
 
 @pytest.mark.filterwarnings("ignore:All-NaN slice")
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.2, 0.9]))
 def test_a_median_is_that_of_numpy(seed: int, holes: float) -> None:
     z = _map(seed, holes)
@@ -29,7 +30,7 @@ def test_a_median_is_that_of_numpy(seed: int, holes: float) -> None:
     np.testing.assert_allclose(medians_at(padded, rows, cols), np.nanmedian(windows, axis=1), rtol=1e-6)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.3]), limit=st.floats(0.15, 2))
 def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limit: float) -> None:
     z = _map(seed, holes)

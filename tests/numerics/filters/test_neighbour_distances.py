@@ -6,10 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(seed=st.integers(0, 500), neighbours=st.integers(4, 24), holes=st.sampled_from([0.0, 0.3, 0.85]))
 def test_the_mean_distance_is_that_of_a_sorted_window(seed: int, neighbours: int, holes: float) -> None:
     rng = np.random.default_rng(seed)

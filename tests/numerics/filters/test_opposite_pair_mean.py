@@ -6,10 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.filters.denoising import pair_mean
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(seed=st.integers(0, 500), limit=st.floats(0.1, 3), holes=st.sampled_from([0.0, 0.4]))
 def test_each_pixel_is_averaged_with_the_pairs_that_agree(seed: int, limit: float, holes: float) -> None:
     rng = np.random.default_rng(seed)

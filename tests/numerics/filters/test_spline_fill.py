@@ -7,10 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(seed=st.integers(0, 500), share=st.floats(0.1, 0.6))
 def test_gaps_take_the_values_of_a_natural_cubic_spline(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
@@ -27,7 +28,7 @@ def test_gaps_take_the_values_of_a_natural_cubic_spline(seed: int, share: float)
     assert np.isnan(filled[0, valid[-1] + 1 :]).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(seed=st.integers(0, 500), max_gap=st.integers(1, 12))
 def test_only_gaps_up_to_the_limit_are_filled(seed: int, max_gap: int) -> None:
     rng = np.random.default_rng(seed)
@@ -50,7 +51,7 @@ def test_empty_and_single_rows_are_left_alone() -> None:
     np.testing.assert_array_equal(fill_rows(z, 9, 1.0), z)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seed=st.integers(0, 500), at=st.integers(5, 25), step=st.sampled_from([-40.0, 7.0, 300.0]))
 def test_no_run_crosses_a_step_and_each_side_is_filled_by_itself(seed: int, at: int, step: float) -> None:
     rng = np.random.default_rng(seed)

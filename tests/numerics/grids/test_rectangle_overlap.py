@@ -8,6 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 
 
@@ -19,7 +20,7 @@ def scattered(n: int, seed: int) -> tuple[np.ndarray, ...]:
     return top, top + height, left, left + width
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(n=st.integers(0, 40), seed=st.integers(0, 9999), at=st.tuples(*[st.floats(-400, 400)] * 2))
 def test_a_window_meets_what_shares_a_point_with_it(n: int, seed: int, at: tuple[float, float]) -> None:
     top, bottom, left, right = scattered(n, seed)
@@ -32,7 +33,7 @@ def test_a_window_meets_what_shares_a_point_with_it(n: int, seed: int, at: tuple
     )
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(n=st.integers(0, 40), seed=st.integers(0, 9999))
 def test_each_pair_that_shares_a_point_is_found_once(n: int, seed: int) -> None:
     top, bottom, left, right = scattered(n, seed)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
@@ -31,7 +32,7 @@ def halved(height: HeightMap) -> HeightMap:
     return next(coarser_levels(height))
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(rows=st.integers(1, 20), cols=st.integers(1, 20), seed=st.integers(0, 99))
 def test_a_pixel_is_the_mean_of_what_was_measured_below_it(make_map: MakeMap, rows: int, cols: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

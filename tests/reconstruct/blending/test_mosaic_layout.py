@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.stitched_mosaic import blend_window
@@ -19,7 +20,7 @@ ROWS, COLS = 60, 80
 RUN = st.tuples(st.integers(-20, 60), st.integers(1, 50)).map(lambda run: slice(run[0], run[0] + run[1]))
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(window=st.tuples(RUN, RUN), parts=st.lists(st.tuples(RUN, RUN), max_size=6))
 def test_pieces_are_the_window_and_each_is_covered_alike_all_over(
     window: tuple[slice, slice], parts: list[tuple[slice, slice]]

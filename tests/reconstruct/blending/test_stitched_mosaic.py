@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.errors import ComputeError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Form, Poses, no_seams, no_shifts
@@ -83,7 +84,7 @@ def test_the_order_of_the_fields_does_not_matter(grid_of_maps: Any, blend: str) 
     np.testing.assert_array_equal(forward.origin, back.origin)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(
     seed=st.integers(0, 1000), jitter_um=st.floats(0, 2), lost=st.integers(0, 8), blend=st.sampled_from(sorted(BLENDS))
 )

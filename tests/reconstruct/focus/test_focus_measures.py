@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import convolve, uniform_filter
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.focus import peak_search as search_module
 from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
@@ -37,7 +38,7 @@ def by_the_equation(image: NDArray, measure: str, window: int) -> NDArray:
 
 
 @pytest.mark.parametrize("measure", PAPER_MEASURES)
-@settings(max_examples=12)
+@settings(max_examples=examples(12))
 @given(half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), seed=st.integers(0, 99))
 def test_a_measure_is_its_equation(measure: str, half: int, dtype: type, seed: int) -> None:
     image = np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, (31, 38), dtype, endpoint=True)

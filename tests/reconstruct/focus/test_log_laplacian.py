@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import convolve, uniform_filter
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Noise, Recipe
 from wafer_viewer.reconstruct.auto_tuning import tune_recipe
@@ -76,7 +77,7 @@ def random_stack(shape: tuple[int, ...], dtype: type, seed: int) -> NDArray:
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(
     half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), lag=st.integers(0, 2), seed=st.integers(0)
 )

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.focus.peak import confidence_of, lead_of
 from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation, place
@@ -50,7 +51,7 @@ def test_a_missing_frame_costs_little(
 
 
 @pytest.mark.slow
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), slope=st.floats(0.1, 3))
 def test_a_tent_is_found_exactly_at_any_spacing(at: float, below: float, above: float, slope: float) -> None:
     z_um = np.array([-below, 0.0, above])
@@ -59,7 +60,7 @@ def test_a_tent_is_found_exactly_at_any_spacing(at: float, below: float, above: 
     assert place(_by("tent"), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), bend=st.floats(0.1, 3))
 def test_a_parabola_is_found_exactly_at_any_spacing(at: float, below: float, above: float, bend: float) -> None:
     z_um = np.array([-below, 0.0, above])
@@ -68,7 +69,7 @@ def test_a_parabola_is_found_exactly_at_any_spacing(at: float, below: float, abo
     assert place(_by("gaussian"), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(
     at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), power=st.sampled_from([1.7, 2.0, 3.0])
 )
@@ -79,7 +80,7 @@ def test_the_blur_law_is_met_exactly_at_any_spacing(at: float, below: float, abo
     assert place(_by("blur_law", power), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(at=st.floats(-0.49, 0.49), power=st.sampled_from([1.7, 2.0, 3.0]), floor=st.floats(-4, 2.5))
 def test_the_blur_law_stands_on_a_floor_of_noise(at: float, power: float, floor: float) -> None:
     """The tolerance is that of the quick logarithm."""

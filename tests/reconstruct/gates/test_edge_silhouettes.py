@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from tests.support.campaigns import examples
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.gates.silhouettes import STANDING_CONTRAST, Silhouette, SilhouetteRows, silhouette_block
 
@@ -36,7 +37,7 @@ def by_definition(images: NDArray) -> NDArray:
     return np.max(pairs, axis=0)
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(
     rows=st.integers(1, 30),
     cols=st.integers(1, 45),

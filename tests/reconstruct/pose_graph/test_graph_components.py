@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import bridges, count_up, groups
 
 N = 9
@@ -13,7 +14,7 @@ EDGES = st.lists(st.tuples(st.integers(0, N - 1), st.integers(0, N - 1)).filter(
 
 
 @given(EDGES)
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 def test_a_bridge_is_what_falls_apart_without_it(edges):
     first, second = np.array(edges, np.int32).reshape(-1, 2).T
     full = groups(N, first, second).max()

@@ -152,6 +152,7 @@ def test_fields_that_are_fixed_stay_and_others_join_them():
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_uncertainties_cover_the_errors():
     fields, of_fields, of_form = grid(7, 7), [], []
     for seed in range(60):
@@ -169,6 +170,7 @@ def rms_of_columns(values: Numbers) -> Numbers:
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(600)
     seams, _ = observations(fields, 12, wrong=0.02, sag_um=(0.05, 0.0, 0.05), lean=(1e-3, 0.0))

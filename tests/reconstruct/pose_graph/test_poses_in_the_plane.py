@@ -272,6 +272,7 @@ def test_of_oblique_lines_those_that_contradict_the_others_are_rejected(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_uncertainties_cover_the_errors():
     fields, ratios = grid(7, 7), []
     for seed in range(60):
@@ -282,6 +283,7 @@ def test_uncertainties_cover_the_errors():
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(900)
     shifts, _ = observations(fields, 17, wrong=0.03, blank=0.1, turn=1e-3)

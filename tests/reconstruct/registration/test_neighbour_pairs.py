@@ -8,6 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.reconstruct.registration.overlap_strips import LEAST_WIDTH_PX, neighbours
 
 
@@ -64,7 +65,7 @@ def test_a_small_field_within_a_large_one_is_compared():
     assert as_set(neighbours([Frame(0, 0), Frame(20, -20, (30, 40))])) == {(0, 1)}
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), max_size=25))
 def test_as_when_all_are_compared_with_all(corners: list[tuple[float, float]]):
     frames = [Frame(x, y) for x, y in corners]

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.rigs.pulse_box.worlds import ATMEGA2560, BadPort, of_the_board
+from tests.support.campaigns import drawn_after
 from wafer_viewer.acquire.conformance import box_checks
 from wafer_viewer.acquire.conformance.bench import ConformanceBench
 from wafer_viewer.model.acquisition.plan import PulseTrain
@@ -84,8 +85,8 @@ def test_each_axis_has_a_count_and_a_reference_of_its_own(world, box):
         box.arm(PulseTrain(axis="y", first_count=0, counts_per_frame=50, n_frames=4, direction=1))
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("rate", [20_000, 40_000])
+@pytest.mark.parametrize("direction", drawn_after(1, [-1, 1]))
+@pytest.mark.parametrize("rate", drawn_after(1, [40_000, 20_000]))
 def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):
     for _ in range(5):
         train, retries = train_from(world.position, direction), box.retries
@@ -132,7 +133,7 @@ def test_a_restart_is_noticed_and_after_a_reference_the_counts_are_right(world, 
 
 
 @of_the_core
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", drawn_after(1, [1, 2]))
 def test_300_commands_on_a_bad_line_are_carried_out_300_times(seed, world, box):
     train = PulseTrain(axis="z", first_count=0, counts_per_frame=1, n_frames=1_000, direction=1)
     box.arm(train, on_command=True)

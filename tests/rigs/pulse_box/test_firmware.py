@@ -8,10 +8,11 @@ import subprocess
 import pytest
 
 from tests.rigs.pulse_box.worlds import ProgramWorld
+from tests.support.campaigns import drawn_after
 from wafer_viewer.model.acquisition.plan import PulseTrain
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", drawn_after(1, [1, 2, 3]))
 def test_random_bytes_lines_edges_and_times_break_nothing(seed, built):
     fuzz = built("fuzz") / "fuzz"
     run = subprocess.run([fuzz, str(seed), "150000"], capture_output=True, text=True, timeout=60, check=False)

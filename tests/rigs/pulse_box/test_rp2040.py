@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from pioemu import State, emulate
 
 from tests.rigs.pulse_box.worlds import FIRMWARE, RP2040JS, Rp2040World, missing_tools
+from tests.support.campaigns import examples
 from wafer_viewer.model.acquisition.plan import PulseTrain
 
 SOURCES = FIRMWARE / "rp2040"
@@ -58,7 +59,7 @@ def sent(inputs: list[int], each: int) -> list[int]:
     return found
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.lists(st.integers(0, 1023), min_size=1, max_size=12))
 def test_every_state_of_the_inputs_that_lasts_is_sent_once_and_in_order(inputs):
     changes = [state for before, state in zip([None, *inputs], inputs, strict=False) if state != before]

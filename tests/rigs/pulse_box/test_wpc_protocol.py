@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.errors import WireError
 from wafer_viewer.rigs.pulse_box.wpc_protocol import (
     ANSWER,
@@ -89,7 +90,7 @@ class Counter:
         return self.last[1]
 
 
-@settings(max_examples=5)
+@settings(max_examples=examples(5))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_on_a_bad_wire_each_of_2000_commands_is_carried_out_exactly_once(seed):
     clock, device = VirtualClock(), Counter()

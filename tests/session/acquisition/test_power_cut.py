@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.campaigns import drawn_cases
 from tests.support.power_cut import CUTS, Disk, recorded, write_out
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.errors import DatasetError
@@ -105,25 +106,25 @@ def test_when_a_pass_has_ended_its_frames_are_on_the_disk(recording):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign(within=True)
 def test_whenever_the_power_is_cut_no_frame_that_counts_is_lost_or_altered_and_nothing_is_blocked(
     recording, rig, tmp_path
 ):
     data = Dataset.open(recording.root / NAME)
     good = {line.shot: line for field in data.fields for line in data.journal_lines(field)}
-    n_states = n_continued = 0
-    for n, cut, safe, left in states(recording):
-        path = tmp_path / str(n_states)
+    every = list(states(recording))
+    assert len(every) > 20 * CONTINUED_EVERY
+    continued = drawn_cases(range(0, len(every), CONTINUED_EVERY))
+    for number in sorted({*drawn_cases(range(len(every))), *continued}):
+        n, cut, safe, left = every[number]
+        path = tmp_path / str(number)
         path.mkdir()
         write_out(left, path)
         where = f"operation {n}, {recording.operations[n - 1]!r:.80}, {cut}"
         kept = look_at(path / NAME, safe, good, where)
-        n_states += 1
-        if n_states % CONTINUED_EVERY == 0:
-            n_continued += 1
+        if number in continued:
             continue_to_the_end(path / NAME, rig, kept, where)
         shutil.rmtree(path)
-    assert n_states > 400
-    assert n_continued > 20
 
 
 def look_at(path, safe, good, where):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.campaigns import drawn_cases
 from tests.support.datasets.complete_dataset import complete_dataset
 from tests.support.datasets.unsigned import without_digests, without_manifests
 from wafer_viewer.model.errors import DatasetError
@@ -140,12 +141,13 @@ NO_NUMBER = {
 
 
 @pytest.mark.slow
+@pytest.mark.campaign(within=True)
 def test_no_number_is_made_of_a_file_with_a_flipped_bit(dataset):
     made: list[str] = []
     for name in files_of(dataset):
         if any(re.fullmatch(pattern, name) for pattern in NO_NUMBER):
             continue
-        for bit in bits_of(dataset / name, name):
+        for bit in drawn_cases(bits_of(dataset / name, name), f"{name}, bit {{}}".format):
             with flipped(dataset / name, bit):
                 if (sentence := refusal(dataset, name)) is None:
                     made.append(f"{name}, bit {bit}")

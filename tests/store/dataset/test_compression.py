@@ -161,6 +161,7 @@ def test_progress_reaches_the_end_in_order(data):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_a_killed_compression_leaves_a_readable_dataset_at_every_moment(data, original):
     code = "import sys; from wafer_viewer.store.dataset.compression import compress\n"
     code += "for codec in ('zstd', 'none') * 50: compress(sys.argv[1], codec, lambda _: print(flush=True))"

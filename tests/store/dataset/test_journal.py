@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset import scan_record
@@ -42,7 +43,7 @@ def journal(tmp_path_factory):
 
 
 @given(lines=LINES, cut=st.integers(0, 3000), more=FRAMES)
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 def test_wherever_a_journal_is_torn_its_whole_lines_are_read_and_it_continues(journal, lines, cut, more):
     journal.unlink(missing_ok=True)
     writer = JournalWriter(journal)

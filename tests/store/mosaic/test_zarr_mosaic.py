@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.support.campaigns import examples
 from tests.support.datasets.samples import assert_same_surface, make_surface
 from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.measure.base.height_samples import heights
@@ -134,7 +135,7 @@ ORIGINS = arrays(np.uint8, LAYER_SHAPE, elements=st.sampled_from([o.value for o 
 
 
 @given(heights=HEIGHTS, origins=ORIGINS)
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_halving_invents_nothing(heights, origins):
     z = np.where(origins >= 10, np.nan, heights).astype(np.float32)
     raw = np.where(origins != 0, np.nan, heights).astype(np.float32)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import laplace, uniform_filter
 from scipy.special import erf
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor, flat_field
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
@@ -96,7 +97,7 @@ def test_light_bleeds_from_the_bright_trench_onto_the_dark_rim_when_out_of_focus
     assert far_above > 3 * in_focus
 
 
-@settings(max_examples=12)
+@settings(max_examples=examples(12))
 @given(radiance=st.floats(0.02, 0.7), well_e=st.sampled_from([2000.0, 10000.0]))
 def test_the_noise_of_the_sensor_follows_its_law(radiance, well_e):
     sensor = Sensor(120, 200, well_e=well_e, bits=16)

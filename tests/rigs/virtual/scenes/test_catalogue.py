@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.campaigns import examples
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow, scene
 from wafer_viewer.rigs.virtual.scenes.drawing import grain
@@ -130,7 +131,7 @@ def test_two_windows_agree_where_they_overlap(name):
         np.testing.assert_array_equal(here[20:, 40:], there[:-20, :-40])
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(x=FAR, y=FAR, salt=st.integers(0, 99))
 def test_grain_has_no_seams(x, y, salt):
     assert grain(x, y, salt) == pytest.approx(grain(x + 1e-6, y - 1e-6, salt), abs=1e-4)
