@@ -218,8 +218,10 @@ if [ "$what" = pythons ]; then
   exit
 fi
 step "Set-up: environment" make_environment
-step "Set-up: system packages" install_system_packages
-step "Set-up: kernels" compile_kernels
+if [ "$what" != lint ]; then
+  step "Set-up: system packages" install_system_packages
+  step "Set-up: kernels" compile_kernels
+fi
 bin="$venv/bin"
 export PATH="$bin:$PATH"
 if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
