@@ -11,6 +11,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+import yaml
 
 from tests.support.paths import ROOT
 
@@ -19,6 +20,7 @@ BLOCK = re.compile(r"^( *)```(console|python)\n(.*?)^\1```", re.MULTILINE | re.D
 
 LINK = re.compile(r"\]\(([^)#:]+)\)")
 MOST_WORDS = 900
+CONTRIBUTING = ROOT / ".github/CONTRIBUTING.md"
 
 
 def pages() -> list[Path]:
@@ -33,7 +35,7 @@ def examples() -> list[tuple[str, str]]:
 
 def test_the_readme_is_short_and_every_page_is_linked():
     assert len((ROOT / "README.md").read_text().split()) <= MOST_WORDS
-    assert sorted(pages()) == sorted([ROOT / "README.md", *(ROOT / "assets/docs").rglob("*.md")])
+    assert sorted(pages()) == sorted([ROOT / "README.md", CONTRIBUTING, *(ROOT / "assets/docs").rglob("*.md")])
 
 
 def test_every_link_of_the_documentation_leads_to_a_file():
@@ -54,6 +56,21 @@ def test_the_page_on_extending_names_files_of_the_package():
     paths = [path for path in re.findall(r"`(\w+/[\w./]+\.py)`", text) if not path.startswith("tests/")]
     assert len(paths) >= 12
     assert not [path for path in paths if not (ROOT / "wafer_viewer" / path).exists()]
+
+
+def test_contributors_are_told_every_part_of_the_checks():
+    parts = set(re.findall(r"^#   bash tests/run\.sh( \w+)?", (ROOT / "tests/run.sh").read_text(), re.MULTILINE))
+    assert len(parts) >= 6
+    assert set(re.findall(r"`?bash tests/run\.sh( \w+)?[`\n]", CONTRIBUTING.read_text())) == parts
+
+
+@pytest.mark.parametrize(
+    ("file", "part"),
+    [(".github/workflows/checks.yml", "bash tests/run.sh\n"), (".pre-commit-config.yaml", "bash tests/run.sh lint\n")],
+)
+def test_workflow_and_hooks_run_the_script_of_the_checks(file, part):
+    assert yaml.safe_load((ROOT / file).read_text())
+    assert part in (ROOT / file).read_text()
 
 
 def commands(body: str) -> list[list[str]]:
