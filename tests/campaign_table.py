@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "assets/docs/validation/campaigns.md"
-HEAD = ("| campaign | passed last | commit | machine | cases | minutes |", "|---|---|---|---|---|---|")
+HEAD = ("| campaign | passed last | commit | machine | tests | minutes |", "|---|---|---|---|---|---|")
 
 
 def results(files: Iterable[Path]) -> dict[str, list[ElementTree.Element]]:
