@@ -16,7 +16,7 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock
+from wafer_viewer.gui.widgets.controls import HtmlBlock, with_decimals
 from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
@@ -85,7 +85,7 @@ def klarf_dialog(page: Page) -> None:
         files = FileList(dialog, "klarf", rows=6)
         files.add_upload()
         unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
-        within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR)
+        within = with_decimals(gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR), 2)
 
     def lay() -> None:
         source = files.path()

@@ -33,7 +33,15 @@ from wafer_viewer.gui.presenters.inspection_form import (
 )
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callback_timing import Debouncer
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, command_button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    HtmlBlock,
+    button,
+    command_button,
+    in_a_row,
+    set_prop,
+    with_decimals,
+)
 from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
 from wafer_viewer.model.errors import MeasureError
@@ -298,7 +306,7 @@ class InspectionForm:
             self._pitch = OptionalPair(gui, "Pitch, µm", over=0, hint="From die to die, x × y")
             self._corner = OptionalPair(gui, "Corner, µm", between=PLACE, hint="Lower left one of die 0,0, stage x, y")
             self._size = OptionalPair(gui, "Die, µm", over=0, hint="Width × height; empty: as the pitch")
-            self._angle = gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise")
+            self._angle = with_decimals(gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise"), 4)
 
     def _build_limits(self, gui: Any) -> None:
         page, failed = self._page, "The limits were not changed"

@@ -25,6 +25,7 @@ from wafer_viewer.gui.widgets.controls import (
     in_a_row,
     leading,
     set_prop,
+    with_decimals,
 )
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.session.acquisition.live_controller import LiveLook, exposure_us
@@ -122,7 +123,7 @@ class LivePanel:
         in_a_row(gui, self._drives)
         self._search = HtmlBlock(gui)
         self._light = HtmlBlock(gui)
-        exposure = controlled(gui.add_number("Exposure, µs", 100.0, min=1.0, step=10.0))
+        exposure = controlled(with_decimals(gui.add_number("Exposure, µs", 100.0, min=1.0, step=10.0), 2))
         self._exposure_edits = Debouncer(self._set_exposure, guarded(page, NOT_EXPOSED), MOVE_S)
         self._exposure: BoundInput[float] = BoundInput(
             exposure, lambda _: self._exposure_edits.made(), page, NOT_EXPOSED

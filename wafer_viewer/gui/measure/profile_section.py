@@ -13,7 +13,16 @@ from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import PlotView, View, with_cursor
 from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, ToggleGroup, button, duo, in_a_row, set_prop
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    HtmlBlock,
+    ToggleGroup,
+    button,
+    duo,
+    in_a_row,
+    set_prop,
+    with_decimals,
+)
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.measurement import sections as section_lines
 from wafer_viewer.model.measurement.sections import MOST_LINES, Along, OtherSurface
@@ -176,6 +185,7 @@ class ProfileSection:
 
     def _number(self, label: str, act: Callable[[float], None], step: float) -> BoundInput[float]:
         handle = self._page.gui.add_number(label, 0 if step == 1 else 0.0, min=0, step=step)
+        with_decimals(handle, 0 if step == 1 else 2)
         return BoundInput(handle, lambda event: act(float(event.target.value)), self._page, FAILED)
 
     # ---------------------------------------------------------------- bring up to date

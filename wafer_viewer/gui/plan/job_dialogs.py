@@ -17,7 +17,7 @@ from wafer_viewer.gui.presenters.plan import before_release
 from wafer_viewer.gui.presenters.results import KeptFeature, kept_features
 from wafer_viewer.gui.presenters.verdict import RULES
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, duo, set_prop
+from wafer_viewer.gui.widgets.controls import HtmlBlock, duo, set_prop, with_decimals
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, OptionalPair, Pair
 from wafer_viewer.model.acquisition.devices import Overview
@@ -93,10 +93,13 @@ def corners_dialog(page: Page) -> None:
     dialog, gui = Dialog(page, "Corners to align by", below), page.gui
     with dialog.modal:
         rows = [
-            (gui.add_text(f"Corner {n + 1}", mark.name), gui.add_vector2("x, y, µm", (mark.x_um, mark.y_um), step=0.1))
+            (
+                gui.add_text(f"Corner {n + 1}", mark.name),
+                with_decimals(gui.add_vector2("x, y, µm", (mark.x_um, mark.y_um), step=0.1), 2),
+            )
             for n, mark in enumerate(marks.places)
         ]
-        limit = gui.add_number("Limit, µm", marks.limit_um, min=0.1, step=0.5)
+        limit = with_decimals(gui.add_number("Limit, µm", marks.limit_um, min=0.1, step=0.5), 2)
 
     def keep() -> None:
         places = tuple(
@@ -198,7 +201,7 @@ def dies_dialog(page: Page) -> None:
     with dialog.modal:
         pitch = OptionalPair(gui, "Pitch, µm", _given(start.pitch_x_um, start.pitch_y_um), over=0)
         size = OptionalPair(gui, "Die, µm", _given(start.width_um, start.height_um), over=0)
-        first = gui.add_vector2("First die, µm", (start.x0_um, start.y0_um), step=1.0)
+        first = with_decimals(gui.add_vector2("First die, µm", (start.x0_um, start.y0_um), step=1.0), 2)
         counts = gui.add_vector2("Across, up", (start.cols, start.rows), min=(1, 1), step=1)
 
     def keep() -> None:
@@ -423,7 +426,11 @@ class FeatureDialog:
 def _corners(gui: Any, name: str, places: tuple[Region, ...]) -> tuple[Any, Any]:
     """Add inputs for two opposite corners of a rectangle."""
     x0, y0, x1, y1 = places[0].bounds_um if places else (0.0, 0.0, 0.0, 0.0)
-    return gui.add_vector2(f"{name}, µm", (x0, y0), step=0.5), gui.add_vector2("– to, µm", (x1, y1), step=0.5)
+    first, last = (
+        with_decimals(gui.add_vector2(label, corner, step=0.5), 2)
+        for label, corner in ((f"{name}, µm", (x0, y0)), ("– to, µm", (x1, y1)))
+    )
+    return first, last
 
 
 def _put(handles: tuple[Any, Any], region: Region) -> None:

@@ -34,6 +34,7 @@ from wafer_viewer.gui.widgets.controls import (
     in_a_row,
     leading,
     set_prop,
+    with_decimals,
 )
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalPair, Pair, pair_of, pair_text
@@ -401,7 +402,7 @@ class PlanPanel:
         with self._grid_fields:
             self._columns_rows = self._prepared_field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
             self._overlap = self._prepared_field(gui.add_slider("Overlap, %", 0.0, 50.0, 0.5, 10.0))
-            self._centre = self._prepared_field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
+            self._centre = self._prepared_field(with_decimals(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1), 2))
             failed = "The grid was not changed"
             cover = command_button(
                 gui,
@@ -421,11 +422,11 @@ class PlanPanel:
         self._sweep_head = HtmlBlock(gui)
         self._sweep_fields = gui.add_folder(None, visible=False)
         with self._sweep_fields:
-            sweep = gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5)
+            sweep = with_decimals(gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5), 2)
             self._range: BoundInput[tuple[float, float]] = BoundInput(
                 controlled(sweep, "Plan saved"), self._typed, self._page, "The plan was not changed"
             )
-            self._step = self._prepared_field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
+            self._step = self._prepared_field(with_decimals(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05), 3))
             self._follow = self._prepared_field(OptionalPair(gui, FOLLOW_LABEL, between=", ", hint=FOLLOW_HINT).handle)
             self._exposures = self._prepared_field(gui.add_text("Exposures, µs", "100"))
             self._exposure = ExposureSection(self._page)

@@ -14,13 +14,14 @@ SCRIPTS = (
     "accessible_names.js",
     "clicks.js",
     "file_dialog.js",
+    "number_fields.js",
     "keyboard.js",
     "live.js",
     "lost_connection.js",
     "browser_info.js",
     "tour.js",
 )
-"""Scripts in this order: the file dialog handles its keys before the keyboard script."""
+"""Scripts in this order: the file dialog and the number fields handle their keys before the keyboard script."""
 
 
 @cache

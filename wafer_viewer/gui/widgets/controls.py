@@ -145,6 +145,12 @@ def controlled(handle: Any, action: Action | None = None) -> Any:
     return handle
 
 
+def with_decimals(handle: Any, decimals: int) -> Any:
+    """Let a number field take so many decimals; by itself it takes those of its step and of its first value."""
+    handle.precision = decimals
+    return handle
+
+
 def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
     """Add a button with its callback."""
     handle = gui.add_button(label, icon=icon, disabled=disabled)
