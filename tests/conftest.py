@@ -32,7 +32,11 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         renew(took)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        if getattr(getattr(item, "function", None), "is_hypothesis_test", False):
+            item.add_marker(pytest.mark.campaign(within=True))
     items.sort(key=lambda item: -recorded().get(item.nodeid.partition("::")[0], 0.0))
     if skipped := [item for item in items if not runs_now(item)]:
         config.hook.pytest_deselected(items=skipped)
