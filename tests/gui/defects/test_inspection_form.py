@@ -158,6 +158,9 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     assert "Not within the limits" in beyond
     assert "so not clean" in beyond
     assert "per mm²," in beyond
+    without_dies = replace(INSPECTION, grid=None, dies=(), recipe=DefectRecipe(limits=DefectLimits(max_per_die=9)))
+    assert "No verdict: not all was inspected" in verdict(without_dies)
+    assert "give the pitch and a corner of the dies" in verdict(without_dies)
     scanned = tuple(replace(die, state="whole") for die in INSPECTION.dies)
     loose = DefectLimits(max_per_die=9)
     assert "Within the limits" in verdict(replace(INSPECTION, dies=scanned, recipe=DefectRecipe(limits=loose)))

@@ -10,6 +10,7 @@ from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.judged_datasets import RESULT, judged_dataset, released_job
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.report import ReportOrder, ReportSection
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.reporting.report import contents, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.inspection_records import write_inspection
@@ -74,3 +75,6 @@ def test_the_limits_of_the_recipe_are_held_and_reported(dataset: Path):
     write_inspection(Dataset.open(dataset).result(RESULT).path, found)
     section: ReportSection = report_of(dataset, RESULT, ORDER).sections[0]
     assert dict(section.pairs)["Limits"] == "not within. More than 1 defect on 1 die: 0,0."
+    write_inspection(Dataset.open(dataset).result(RESULT).path, replace(found, grid=None, dies=(), defects=()))
+    section = report_of(dataset, RESULT, ORDER).sections[0]
+    assert dict(section.pairs)["Limits"].startswith("no verdict, not all was inspected. No die is known, so defects")
