@@ -144,6 +144,16 @@ def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     assert sum(d.repeats for d in inspection.found) == 9
 
 
+def test_what_was_compared_with_a_simulated_golden_die_is_simulated() -> None:
+    clean, real = made(1, ()), made(2)
+    assert not inspect(real.surface, real.grid, DULL, golden_of_surface(clean.surface, clean.grid)).simulated
+    golden = golden_of_surface(clean.surface, clean.grid, simulated=True)
+    inspection = inspect(real.surface, real.grid, DULL, golden)
+    assert inspection.simulated
+    assert inspection.defects
+    assert all(defect.simulated for defect in inspection.defects)
+
+
 def test_a_defect_in_a_street_shows_next_to_a_stored_golden_die() -> None:
     clean = made(1, ())
     golden = golden_of_surface(clean.surface, clean.grid)

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from PIL import Image
 
 from tests.support.datasets.compared_datasets import two_datasets
 from tests.support.datasets.inspections import GRID, defect, inspection
@@ -24,6 +25,7 @@ from wafer_viewer.session.inspection.inspection_files import DefectFiles, hand_o
 from wafer_viewer.session.inspection.klarf_overlay import compared, lattice_for
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.ome_header import states_simulated
 from wafer_viewer.store.records.inspection_records import read_inspection, write_inspection
 from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
 
@@ -120,6 +122,8 @@ def test_defects_go_out_as_they_are_judged(bench, tmp_path):
     assert ",pit,particle," in table.splitlines()[1]
     folder = bench.do(bench.controller.write, "training", tmp_path / "set")
     assert (folder / "0002.npy").exists()
+    with Image.open(folder / "0002.png") as cut:
+        assert states_simulated(cut.info["Description"]) == FOUND.defects[1].simulated
     assert bench.command_queue.snapshot.works == ()
     with pytest.raises(DatasetError, match="exists already: give the name of a new folder"):
         bench.do(bench.controller.write, "training", tmp_path / "set")

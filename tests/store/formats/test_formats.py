@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import errno
 import math
+import re
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -94,6 +96,50 @@ def test_simulation_and_calibration_come_back(tmp_path, ending):
     back = read_surface(tmp_path / f"b{ending}").provenance
     assert not back.simulated
     assert back.calibration is None
+
+
+def without_embedded_metadata(path):
+    """Damage the machine-readable text of a file, as another program does that writes it anew."""
+    if path.suffix != ".x3p":
+        path.write_bytes(path.read_bytes().replace(b'"pixel_um"', b'"pixel_qm"'))
+        return
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist() if name != "md5checksum.hex"}
+    main = re.sub(rb"<Comment>.*?</Comment>", b"<Comment>no remarks</Comment>", members["main.xml"], flags=re.DOTALL)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in {**members, "main.xml": main}.items():
+            archive.writestr(name, content)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+@pytest.mark.parametrize("ending", [ending for ending in READ if ending != ".npz"])
+def test_simulation_comes_back_without_the_embedded_metadata(tmp_path, ending, simulated):
+    path = tmp_path / f"a{ending}"
+    export(make_surface(simulated=simulated, calibration=CALIBRATION), path)
+    without_embedded_metadata(path)
+    unit = "um" if ending in (".ply", ".pcd", ".xyz") else None
+    back = read_surface(path, z_unit=unit, pixel_um=0.5)
+    assert back.provenance.calibration is None
+    assert back.provenance.simulated == simulated
+    again = tmp_path / f"b{ending}"
+    export(back, again)
+    assert read_surface(again).provenance.simulated == simulated
+
+
+def test_points_gridded_anew_stay_simulated(tmp_path):
+    export(make_surface(simulated=True), tmp_path / "a.csv")
+    without_embedded_metadata(tmp_path / "a.csv")
+    back = read_surface(tmp_path / "a.csv", pixel_um=0.7)
+    assert "gridded" in " ".join(back.provenance.notes)
+    assert back.provenance.simulated
+
+
+def test_cropped_tiff_stays_simulated(tmp_path):
+    export(make_surface(simulated=True), tmp_path / "a.tif")
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        text, heights = file.pages.first.description, file.pages.first.asarray()
+    tifffile.imwrite(tmp_path / "b.tif", heights[:20, :20], description=text, metadata=None)
+    assert read_surface(tmp_path / "b.tif").provenance.simulated
 
 
 @pytest.mark.parametrize("ending", [".npz", ".gwy"])

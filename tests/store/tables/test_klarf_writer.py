@@ -51,6 +51,11 @@ def test_a_die_of_which_nothing_is_known_does_not_look_clean(file: Path):
     assert (0, 1) not in dies, "it was only partly scanned"
 
 
+def test_simulation_is_read_back(file: Path, tmp_path: Path):
+    assert read_klarf(file).simulated
+    assert not read_klarf(write_klarf(inspection(simulated=False), tmp_path / "real.klarf")).simulated
+
+
 def test_its_defects_lie_over_the_surface_they_were_found_on(file: Path):
     klarf = read_klarf(file)
     for outline, found in zip(klarf.outlines(), FOUND.found, strict=True):

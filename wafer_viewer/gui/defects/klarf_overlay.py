@@ -81,8 +81,9 @@ def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)
     away = Markup('<span class="wv-link" {}>Remove overlay</span>').format(html.pick("defect-other-away"))
     head = Markup('<div class="wv-h">{}<span>{}</span></div>').format(other.name, away)
+    simulated = "SIMULATED. " if other.klarf.simulated else ""
     summary = (
-        f"{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
+        f"{simulated}{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
         f"{len(compared) - both} found here {'is' if len(compared) - both == 1 else 'are'} not in the file. "
         f"The same within {number(other.within_um, 0)} µm; {other.by}."
     )

@@ -178,7 +178,9 @@ def inspect(
     if reference == "golden":
         defects = mark_repeaters(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
     notes = (*notes, *_of_the_rim(grid, on_dies), *notes_on(recipe.excluded, work.excluded, work.on_dies))
-    return _inspection(work, results, defects, reference, notes, reading, grid, dies)
+    simulated = surface.provenance.simulated or (golden is not None and golden.header.simulated)
+    defects = tuple(replace(defect, simulated=simulated) for defect in defects)
+    return _inspection(work, results, defects, reference, notes, reading, grid, dies, simulated)
 
 
 def golden_of_surface(
@@ -361,6 +363,7 @@ def _inspection(
     reading: MeasurementContext,
     grid: DieGrid | None,
     dies: Sequence[DieStatus],
+    simulated: bool,
 ) -> Inspection:
     """Assemble the inspection record."""
     mm2 = work.cells.pixel_um**2 / 1e6
@@ -381,7 +384,7 @@ def _inspection(
         false_counts=counted,
         surface=reading.layer,
         product=work.recipe.product,
-        simulated=reading.surface.provenance.simulated,
+        simulated=simulated,
         notes=(*(grid.notes if grid is not None else ()), *notes, *most),
     )
 

@@ -42,7 +42,8 @@ class Klarf(Spec, frozen=True, kw_only=True):
     """A KLARF file: (center_x_um, center_y_um) is the wafer's centre from the lower left corner of die 0,0.
 
     notch: where the orientation mark points, DOWN for a wafer with its notch towards the operator. dies: (col, row) of
-    the dies that were inspected; notes: what was converted, or could not be checked.
+    the dies that were inspected; notes: what was converted, or could not be checked; simulated: True where the file
+    says so.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -64,6 +65,7 @@ class Klarf(Spec, frozen=True, kw_only=True):
     dies: tuple[tuple[int, int], ...] = ()
     defects: tuple[KlarfDefect, ...] = ()
     notes: tuple[str, ...] = ()
+    simulated: bool = False
 
     @property
     def grid(self) -> DieGrid:

@@ -53,6 +53,7 @@ def compared(other: OtherTool, inspection: Inspection) -> dict[str, Any]:
         "not_found_here": [defect.number for defect, _ in other.unmatched(found)],
         "not_in_file": sorted({defect.number for defect in found} - set(matched.values())),
         "notes": list(other.klarf.notes),
+        "simulated": other.klarf.simulated,
     }
 
 

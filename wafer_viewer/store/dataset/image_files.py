@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
-from wafer_viewer.store.io.atomic_files import natural_sort_key, size
+from wafer_viewer.store.dataset.ome_header import states_simulated
+from wafer_viewer.store.io.atomic_files import natural_sort_key, os_errors_as_dataset_errors, size
 from wafer_viewer.store.io.guarded_reading import (
     MEND,
     MOST_PAGES,
@@ -43,10 +44,14 @@ Paths = str | Path | Sequence[str | Path]
 
 @dataclass(frozen=True, slots=True)
 class ImageFile:
-    """One image with a readable name; `read` returns it as grey [row, col], uint8 or uint16."""
+    """One image with a readable name; `read` returns it as grey [row, col], uint8 or uint16.
+
+    simulated: True if its file says that it was not taken of a real sample.
+    """
 
     name: str
     read: Callable[[], Image]
+    simulated: bool = False
 
 
 def pictures(src: Paths) -> list[ImageFile]:
@@ -98,13 +103,15 @@ def _files_in(folder: Path) -> list[Path]:
 def pictures_of(path: Path) -> list[ImageFile]:
     """Return the images of one file: all pages of a TIFF, one image for any other format."""
     if path.suffix.lower() not in TIFF_ENDINGS:
-        return [ImageFile(path.name, partial(_read_file, path))]
-    n_pages = _page_count(path)
+        return [ImageFile(path.name, partial(_read_file, path), states_simulated(_texts_of_image(path)))]
+    n_pages, texts = _pages_and_texts(path)
     names = [path.name] if n_pages == 1 else [f"{path.name}, page {k + 1}" for k in range(n_pages)]
-    return [ImageFile(name, partial(_read_page, path, k, name)) for k, name in enumerate(names)]
+    simulated = states_simulated(texts)
+    return [ImageFile(name, partial(_read_page, path, k, name), simulated) for k, name in enumerate(names)]
 
 
-def _page_count(path: Path) -> int:
+def _pages_and_texts(path: Path) -> tuple[int, str]:
+    """Return the number of pages of a TIFF, and the texts of its first page, that of ImageJ included."""
     with parser_errors_as(partial(damaged, path.name)), opened_tiff(path) as file:
         n_pages = len(file.pages)
         if n_pages > limit(MOST_PAGES):
@@ -112,7 +119,20 @@ def _page_count(path: Path) -> int:
                 f"Import stopped at {path.name}: it has {n_pages} pages, more than {limit(MOST_PAGES)}. "
                 f"{NOTHING_WRITTEN} Split it, or {MEND}."
             )
-        return n_pages
+        by_imagej = (file.imagej_metadata or {}).get("Info", "") if n_pages else ""
+        return n_pages, f"{file.pages.first.description}\n{by_imagej}" if n_pages else ""
+
+
+_TEXT_BYTES = 1 << 16
+"""Bytes at either end of an image file that are searched for texts."""
+
+
+def _texts_of_image(path: Path) -> str:
+    """Return what may be texts in an image that is no TIFF; formats have them before the pixels or after them."""
+    with os_errors_as_dataset_errors(path), path.open("rb") as file:
+        begin = file.read(_TEXT_BYTES)
+        file.seek(max(_TEXT_BYTES, path.stat().st_size - _TEXT_BYTES))
+        return (begin + file.read()).decode("latin-1")
 
 
 def _read_page(path: Path, page: int, name: str) -> Image:

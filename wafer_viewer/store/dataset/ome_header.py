@@ -24,6 +24,9 @@ _US_PER_S = 1e6
 _MAX_TEXT = 80
 """Most characters of a text that a user or a device has given."""
 _MAGNIFICATION = re.compile(r"(\d+(?:\.\d+)?)\s*[xX×]")
+_SIMULATED = "SIMULATED. "
+"""Begin of the description of an image that was not taken of a real sample."""
+_STATED = re.compile(r'\bSIMULATED\. |"SIMULATED": ?true|K="simulated">yes<')
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 
 
@@ -77,7 +80,7 @@ def picture_xml(picture: StagePicture, software_version: str) -> bytes:
     """Return the OME-XML of a single frame in UTF-8."""
     root = _root(software_version)
     _add_instrument(root, picture.rig, picture.setup)
-    simulated = "SIMULATED. " if picture.simulated else ""
+    simulated = _SIMULATED if picture.simulated else ""
     image = _add_image(root, "live picture", picture.taken, f"{simulated}Live picture at a place of the stage.")
     at = picture.position
     _add(image, "StageLabel", Name="stage", **_lengths(X=at.x_um, Y=at.y_um, Z=at.z_um))
@@ -104,6 +107,14 @@ def picture_xml(picture: StagePicture, software_version: str) -> bytes:
     plane = _add(pixels, "Plane", TheZ="0", TheT="0", TheC="0", ExposureTime=_number(picture.exposure_us / _US_PER_S))
     plane.attrib |= _lengths(PositionX=at.x_um, PositionY=at.y_um, PositionZ=at.z_um)
     return _document(root)
+
+
+def states_simulated(text: str) -> bool:
+    """Return whether a text beside an image, such as its description, is that of a simulated frame or picture.
+
+    It may be one of ours, finished or of a scan that was not, or one of ours that another program has quoted.
+    """
+    return _STATED.search(text) is not None
 
 
 def _root(software_version: str) -> ElementTree.Element:
@@ -156,7 +167,7 @@ def _description(record: ScanRecord, field: Field, n_present: int) -> str:
     """Return what a reader must know: simulated or not, and the number of missing frames."""
     n_pages = record.pages(field).n_pages
     n_missing = n_pages - n_present
-    simulated = "SIMULATED. " if record.simulated else ""
+    simulated = _SIMULATED if record.simulated else ""
     missing = f" {n_missing} of {n_pages} frames are missing: their pages are empty." if n_missing else ""
     return f"{simulated}Focus stack of field {field.number}, {field.name}.{missing}"
 

@@ -1,7 +1,7 @@
 """Import of external stacks: opened for one reconstruction, or imported as a dataset.
 
 The only acquisition metadata are those given by the user, so the stacks have no calibration and their lengths are
-uncalibrated.
+uncalibrated. A file that says that it is simulated makes its stack and its dataset simulated.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def open_stack(
     -------
     FieldStack
         Images [k, row, col], uint8 or uint16, with z in um, rising; the field has number 1 and its centre at (0, 0).
-        It has no calibration, so that its lengths are uncalibrated.
+        It has no calibration, so that its lengths are uncalibrated. It is simulated if any of the files says so.
 
     Raises
     ------
@@ -210,6 +210,7 @@ def open_stack(
         pixel_um=pixel,
         checksum=hashlib.sha256(b"".join(b"%08x" % zlib.crc32(image.data) for image in images)).hexdigest(),
         source=_source_name(src),
+        simulated=any(picture.simulated for picture in images_in_z),
         depth_of_field_um=_depth_um(numerical_aperture, wavelength_um, pixel),
     )
 
@@ -262,7 +263,8 @@ def import_dataset(
     Returns
     -------
     Dataset
-        The new dataset, open. It has no calibration, so that its lengths are uncalibrated.
+        The new dataset, open. It has no calibration, so that its lengths are uncalibrated. It is simulated if any of
+        the files says so.
 
     Raises
     ------
@@ -291,7 +293,8 @@ def import_dataset(
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
     with atomic_write(target) as temporary:
         bits = 8 * first.dtype.itemsize
-        with DatasetWriter.create(temporary, plan, job, imported_from=_source_name(srcs), bits=bits) as writer:
+        source, simulated = _source_name(srcs), _is_simulated(stacks)
+        with DatasetWriter.create(temporary, plan, job, simulated=simulated, imported_from=source, bits=bits) as writer:
             _copy(stacks, writer, progress, should_stop)
     forget_marks(target)
     sign_scan(target)
@@ -340,6 +343,12 @@ def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, shou
         else:
             writer.frame(_frame(shot, field, writer.record.plan.sweep, uniform.checked(picture)))
     writer.finish()
+
+
+def _is_simulated(stacks: Stacks) -> bool:
+    """Return whether any image was not taken of a real sample."""
+    images = (image for stack in stacks.values() for slot in stack for image in slot)
+    return any(image is not None and image.simulated for image in images)
 
 
 def _slots(stacks: Stacks, plan: ScanPlan) -> Iterator[tuple[Shot, Field, ImageFile | None]]:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 from contextlib import suppress
 from typing import Any
 
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
-from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Provenance
 from wafer_viewer.store.formats.surface_strips import Strips
 
 OURS = "WaferViewer"
 """Key of the machine-readable text in formats with named texts."""
 LINE_LETTERS = 200
+_SIMULATED = "SIMULATED"
+_STATED = re.compile(rf"\b{_SIMULATED}\b")
 
 
 class EmbeddedMetadata(msgspec.Struct, frozen=True):
@@ -39,7 +42,7 @@ def caveats(provenance: Provenance, today: str | None = None) -> tuple[str, ...]
     day = today or datetime.date.today().isoformat()
     calibration = provenance.calibration
     problem = "no calibration" if calibration is None else calibration.problem(calibration.setup, day)
-    return (("SIMULATED",) if provenance.simulated else ()) + ((f"uncalibrated: {problem}",) if problem else ())
+    return ((_SIMULATED,) if provenance.simulated else ()) + ((f"uncalibrated: {problem}",) if problem else ())
 
 
 def title(surface: HeightMap | Mosaic) -> str:
@@ -92,3 +95,16 @@ def parse_metadata(text: str | None) -> EmbeddedMetadata | None:
         provenance = decode(json.dumps(facts["provenance"]), Provenance, OURS, "json")
         return msgspec.convert({**facts, "provenance": provenance}, EmbeddedMetadata)
     return None
+
+
+def provenance_of(metadata: EmbeddedMetadata | None, embedded: str | None, *texts: str | None) -> Provenance | None:
+    """Return the provenance of a surface that was read, None if its file says nothing of it.
+
+    A title or comment for people that says SIMULATED counts, and so does `embedded`, the machine-readable text, where
+    it could not be parsed: other programs drop or change one and leave the other.
+    """
+    readable = texts if metadata is not None else (*texts, embedded)
+    stated = any(_STATED.search(text or "") for text in readable)
+    if metadata is None:
+        return Provenance(simulated=True) if stated else None
+    return replace(metadata.provenance, simulated=metadata.provenance.simulated or stated)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, title
+from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, provenance_of, title
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
@@ -42,10 +42,9 @@ def read_gsf(path: Path, options: ReadOptions) -> HeightMap:
     pixel_um = options.pixel_um(dx_um, dy_um)
     z_um = scaled(options, np.memmap(path, "<f4", "r", begin, (rows, cols)), z_scale)
     x0_um, y0_um = (_number(header, name, options, 0.0) * (unit_um or 0.0) for name in ("XOffset", "YOffset"))
-    metadata = parse_metadata(header.get(OURS))
-    return heights_only(
-        options, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, metadata.provenance if metadata else None
-    )
+    embedded = header.pop(OURS, None)
+    came_from = provenance_of(parse_metadata(embedded), embedded, *header.values())
+    return heights_only(options, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, came_from)
 
 
 def _header(strips: Strips) -> bytes:

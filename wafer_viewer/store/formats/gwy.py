@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, title
+from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, provenance_of, title
 from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only, require_some, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 
@@ -185,12 +185,14 @@ def read_gwy(path: Path, options: ReadOptions) -> HeightMap:
         raise options.refuse(
             "has no channel of heights, with a unit of length: give its unit in Gwyddion, and save it."
         )
-    metadata = parse_metadata(tree.get(f"/{number}/meta", {}).get(OURS))
+    texts: Tree = {**tree.get(f"/{number}/meta", {})}
+    metadata = parse_metadata(embedded := texts.pop(OURS, None))
+    came_from = provenance_of(metadata, embedded, *(text for text in texts.values() if isinstance(text, str)))
     if len(channels) > 1 and metadata is None:
         options.notes.append(
             f"Its channel '{tree.get(f'/{number}/data/title', number)}' was read, one of {len(channels)}."
         )
-    return _surface(tree, channels, titles, number, metadata.provenance if metadata else None, options)
+    return _surface(tree, channels, titles, number, came_from, options)
 
 
 def _surface(

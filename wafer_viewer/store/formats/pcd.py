@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata
+from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata, provenance_of
 from wafer_viewer.store.formats.point_gridding import (
     AT_A_TIME,
     Block,
@@ -65,9 +65,11 @@ def write_pcd(strips: Strips, path: Path) -> None:
 def read_pcd(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PCD file."""
     head = _head(path, options)
-    about = parse_metadata(head.comments.get(OURS))
+    embedded = head.comments.pop(OURS, None)
+    about = parse_metadata(embedded)
+    came_from = provenance_of(about, embedded, *head.comments, *head.comments.values())
     units = units_of(head.comments.get("unit"), about, options)
-    points = PointCloud(lambda: _blocks(path, head, options), units, about, head.n_points)
+    points = PointCloud(lambda: _blocks(path, head, options), units, about, came_from, head.n_points)
     return surface_of_points(points, options)
 
 

@@ -52,11 +52,12 @@ class PointLattice:
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """Points of a file: block iterator factory, units of x, y, z in um, and embedded metadata."""
+    """Points of a file: block iterator factory, units of x, y, z in um, embedded metadata, and provenance if known."""
 
     blocks: Blocks
     unit_um: tuple[float, float, float]
     about: EmbeddedMetadata | None = None
+    provenance: Provenance | None = None
     most_points: int = MOST_PIXELS
     """Points that the file can hold at most, by its size."""
 
@@ -93,7 +94,7 @@ def _assign_to_lattice(points: PointCloud, lattice: PointLattice, options: ReadO
         inside = (cols >= 0) & (cols < lattice.cols) & (rows >= 0) & (rows < lattice.rows)
         if off > _OFF or not inside.all() or not layers.put(rows * lattice.cols + cols, z_um, block):
             return None
-    return layers.surface(points.about.provenance if points.about else None, options)
+    return layers.surface(points.provenance, options)
 
 
 class _Layers:
@@ -173,7 +174,9 @@ def _gridded(points: PointCloud, pixel_um: float, options: ReadOptions) -> Heigh
     z_um = np.full(rows * cols, np.nan, np.float32)
     np.divide(sums, counts, out=z_um, where=counts > 0, casting="unsafe")
     options.notes.append(f"Its points were gridded on {pixel_um:g} um: each pixel is the mean of those in it.")
-    return heights_only(options, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
+    simulated = points.provenance is not None and points.provenance.simulated
+    came_from = Provenance(simulated=True) if simulated else None
+    return heights_only(options, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, came_from)
 
 
 def _detect_lattice(points: PointCloud, options: ReadOptions) -> PointLattice | None:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, parse_metadata
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, parse_metadata, provenance_of
 from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points, units_of
 from wafer_viewer.store.formats.reader_support import ReadOptions
 from wafer_viewer.store.formats.surface_strips import Strips
@@ -40,7 +40,9 @@ def read_table(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a table; x, y, z by name or as the first three columns."""
     head = _head(path, options)
     most_points = path.stat().st_size // _LEAST_POINT_BYTES
-    points = PointCloud(lambda: _blocks(path, head, options), _units(head, options), head.about, most_points)
+    points = PointCloud(
+        lambda: _blocks(path, head, options), _units(head, options), head.about, head.provenance, most_points
+    )
     return surface_of_points(points, options)
 
 
@@ -75,11 +77,12 @@ class _Head:
     units: dict[str, str]
     delimiter: str
     about: EmbeddedMetadata | None
+    provenance: Provenance | None
     begin: int
 
 
 def _head(path: Path, options: ReadOptions) -> _Head:
-    parts, begin = defaultdict[str, list[str]](list), 0
+    parts, texts, begin = defaultdict[str, list[str]](list), list[str](), 0
     with path.open("rb") as file:
         while begin < _LARGEST_HEADER and (raw := file.readline(_LARGEST_HEADER)):
             line = raw.decode("utf-8-sig" if begin == 0 else "utf-8", "replace").strip()
@@ -88,6 +91,7 @@ def _head(path: Path, options: ReadOptions) -> _Head:
             begin += len(raw)
             name, _, value = line.lstrip("# ").partition(":")
             parts[name.strip().lower()].append(value.strip())
+            texts += [] if name.strip() == OURS else [line]
         else:
             raise options.refuse("holds no points: give a table with the columns x, y and z.")
     comments = {name: "".join(values) for name, values in parts.items()}
@@ -98,7 +102,8 @@ def _head(path: Path, options: ReadOptions) -> _Head:
     if (unit := comments.get("unit")) is not None:
         _require_consistent_units(units, unit, options)
         units = units or dict.fromkeys("xyz", unit)
-    return _Head(columns, units, delimiter, parse_metadata(comments.get(OURS.lower())), begin)
+    about = parse_metadata(embedded := comments.get(OURS.lower()))
+    return _Head(columns, units, delimiter, about, provenance_of(about, embedded, *texts), begin)
 
 
 def _names(cells: list[str], options: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, parse_metadata
+from wafer_viewer.store.formats.embedded_metadata import about, parse_metadata, provenance_of
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, same, scaled
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.guarded_reading import opened_tiff, require_unpacked
@@ -58,6 +58,7 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
         raw: NDArray[Any] = page.asarray(out="memmap")
         facts, lateral_um = _facts(page), _lateral_um(file, options)
         no_data = page.tags.get(_NO_DATA)
+        embedded, by_imagej = page.description, str((file.imagej_metadata or {}).get("Info", ""))
     if n_pages > 1:
         options.notes.append(f"Its first page was read, of {n_pages}.")
     options.require_heights_up(str(facts.get("quantity", facts.get("kind", ""))))
@@ -81,8 +82,8 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
     z_um = scaled(options, raw, z_scale)
     if no_data is not None:
         z_um[raw == np.float64(str(no_data.value).strip("\0 "))] = np.nan
-    place = (metadata.x0_um, metadata.y0_um, metadata.provenance) if metadata else (0.0, 0.0, None)
-    return heights_only(options, z_um, pixel_um, *place)
+    place = (metadata.x0_um, metadata.y0_um) if metadata else (0.0, 0.0)
+    return heights_only(options, z_um, pixel_um, *place, provenance_of(metadata, embedded, by_imagej))
 
 
 def is_heights(path: Path) -> bool:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, caveats, parse_metadata
+from wafer_viewer.store.formats.embedded_metadata import about, caveats, parse_metadata, provenance_of
 from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
 from wafer_viewer.store.io.guarded_reading import require_unpacked
@@ -60,9 +60,11 @@ def _read(archive: zipfile.ZipFile, main: ElementTree.Element, options: ReadOpti
         raise options.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
     pixel_um, m_um = options.pixel_um(dx[0] / _M, dy[0] / _M), options.z_scale_um("m")
     z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, options)
-    metadata = parse_metadata((_text(main, "Record2/Comment") or "").partition("\n")[2])
+    for_people, _, embedded = (_text(main, "Record2/Comment") or "").partition("\n")
+    model = _text(main, "Record2/Instrument/Model")
+    came_from = provenance_of(parse_metadata(embedded), embedded, for_people, model)
     y0_um = dy[1] / _M + (z_um.shape[0] - 1) * pixel_um
-    return heights_only(options, z_um, pixel_um, dx[1] / _M, y0_um, metadata.provenance if metadata else None)
+    return heights_only(options, z_um, pixel_um, dx[1] / _M, y0_um, came_from)
 
 
 def _main(strips: Strips, digest: str) -> bytes:
@@ -84,7 +86,7 @@ def _main(strips: Strips, digest: str) -> bytes:
             "Creator": "Wafer Viewer",
             "Instrument": {
                 "Manufacturer": "Wafer Viewer",
-                "Model": "virtual rig" if provenance.simulated else "shape from focus",
+                "Model": "virtual rig, SIMULATED" if provenance.simulated else "shape from focus",
                 "Serial": "not available",
                 "Version": provenance.software_version or "unknown",
             },

@@ -43,6 +43,8 @@ _LENGTHS = {"width_um": "XSIZE", "height_um": "YSIZE", "size_um": "DSIZE"}
 _COUNTS = {"class_number": "CLASSNUMBER", "bin": "ROUGHBINNUMBER", "test": "TEST"}
 
 
+_SIMULATED = "SIMULATED"
+"""Model of the inspection station of a simulated wafer."""
 IMAGE_WORDS = 3
 """Greatest number of words per image of a defect, in the lines after it."""
 
@@ -206,6 +208,7 @@ def _facts(records: Records, um: float) -> dict[str, Any]:
         "version": ".".join(records["FileVersion"].words[:2]),
         **{name: _first(records, key) for name, key in _NAMES.items()},
         "notch": _first(records, "OrientationMarkLocation") or "DOWN",
+        "simulated": "InspectionStationID" in records and _SIMULATED in records["InspectionStationID"].words,
         "slot": _parse_integer(_first(records, "Slot") or "0"),
         "sample_mm": size[1],
         "pitch_x_um": pitch[0] * um,
@@ -428,7 +431,7 @@ def _head(inspection: Inspection, sample: Sample, at: datetime) -> Iterator[str]
     yield "FileVersion 1 2;"
     yield f"FileTimestamp {stamp};"
     yield (
-        'InspectionStationID "Wafer Viewer" "SIMULATED" "0";'
+        f'InspectionStationID "Wafer Viewer" "{_SIMULATED}" "0";'
         if inspection.simulated
         else ('InspectionStationID "Wafer Viewer" "shape from focus" "0";')
     )

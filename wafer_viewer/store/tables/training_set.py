@@ -82,11 +82,14 @@ def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Pa
 def _write_one(folder: Path, surface: Mosaic, defect: Defect) -> list[object]:
     """Write the two files of a defect, and return its line of the table."""
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     cut = _cut_out(surface, defect)
     name = f"{defect.number:04d}"
     np.save(folder / f"{name}.npy", np.asarray(cut.z_raw_um, np.float32))
-    Image.fromarray(cut.all_in_focus).save(folder / f"{name}.png")
+    description = PngInfo()
+    description.add_text("Description", f"{'SIMULATED. ' if defect.simulated else ''}All-in-focus image of a defect.")
+    Image.fromarray(cut.all_in_focus).save(folder / f"{name}.png", pnginfo=description)
     return [*_names(defect, name), *_features(defect), *_lattice(cut), "SIMULATED" if defect.simulated else ""]
 
 
