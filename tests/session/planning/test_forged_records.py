@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
-from tests.support.datasets.judged_datasets import RESULT, judged_dataset, released_job
+from tests.support.datasets.judged_datasets import CALIBRATED, RESULT, judged_dataset, released_job
 from tests.support.gauge_repeats import certificate, repeats
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.gauge.gauge_check import contradiction, gauge_check
+from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, GaugeTerms
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.gauge.signed_checks import trusted_checks
+from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.io.checksums import sealed_line, sealed_text, strip_checksum, verified_text
-from wafer_viewer.store.records.gauge_records import GAUGE_LOG, sign
-from wafer_viewer.store.records.signing_key import known_public_key
+from wafer_viewer.store.records.audit_log import AUDIT_LOG, record_action
+from wafer_viewer.store.records.gauge_records import CALIBRATIONS, GAUGE_LOG, CalibrationChange, record_change, sign
+from wafer_viewer.store.records.signing_key import KEPT_IN, known_public_key
 
 
 @pytest.fixture
@@ -143,3 +147,61 @@ def test_check_reads_the_records_of_the_dataset_and_of_its_folder(dataset, check
     log.unlink()
     assert main(["check", str(dataset)]) == 1
     assert f"{log} was altered: it has 0 lines, and had 1" in capsys.readouterr().out
+
+
+LOGGED = {
+    GAUGE_LOG: lambda folder, check: sign(folder, GaugeRecord(check=check)),
+    CALIBRATIONS: lambda folder, check: record_change(folder, change_of_scale()),
+    AUDIT_LOG: lambda folder, check: record_action(folder, scan_started()),
+}
+
+
+def scan_started():
+    return AuditEntry(
+        at="2026-06-01T10:00:00", by="Ann", through="page", action="Scan started", subject="W1.wafer", detail=""
+    )
+
+
+def change_of_scale():
+    return CalibrationChange(rig="R", at="2026-06-01", by="Ann", why="", before=CALIBRATED, after=CALIBRATED)
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_log_stripped_of_signatures_and_head_is_found(dataset, check, tmp_path, capsys, name):
+    for _ in range(2):
+        LOGGED[name](tmp_path, check)
+    log = tmp_path / name
+    lines = [json.loads(strip_checksum(line)) for line in log.read_bytes().splitlines()]
+    bare = [{key: value for key, value in line.items() if key != "link"} for line in lines]
+    log.write_bytes(b"".join(sealed_line(json.dumps(line).replace("Ann", "Bob").encode()) + b"\n" for line in bare))
+    (tmp_path / KEPT_IN / f"{name}.head").unlink()
+    assert main(["check", str(dataset)]) == 1
+    assert f"{log} was altered: line 1 is not signed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_log_removed_with_its_head_is_missed_by_a_dataset_signed_after_it(dataset, check, tmp_path, capsys, name):
+    LOGGED[name](tmp_path, check)
+    result = Dataset.open(dataset).result(RESULT)
+    result.save_findings(result.findings())
+    for path in (tmp_path / name, tmp_path / KEPT_IN / f"{name}.head", tmp_path / KEPT_IN / f"{name}.lock"):
+        path.unlink()
+    main(["check", str(dataset)])
+    says = (
+        f"{tmp_path / name} was removed or replaced together with its head: it has 0 records, and had 1 when W1.wafer"
+    )
+    assert says in capsys.readouterr().out
+    result.save_findings(result.findings())
+    assert main(["check", str(dataset)]) == 1
+    assert says in capsys.readouterr().out, "a later signature does not forget it"
+
+
+def test_logs_of_another_folder_are_not_missed_by_a_copied_dataset(dataset, check, tmp_path, capsys):
+    sign(tmp_path, GaugeRecord(check=check))
+    result = Dataset.open(dataset).result(RESULT)
+    result.save_findings(result.findings())
+    copy = shutil.copytree(dataset, tmp_path / "elsewhere" / "W1.wafer")
+    copied = Dataset.open(copy).result(RESULT)
+    copied.save_findings(copied.findings())
+    main(["check", str(copy)])
+    assert GAUGE_LOG not in capsys.readouterr().out

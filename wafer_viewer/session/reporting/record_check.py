@@ -17,7 +17,7 @@ from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.audit_log import AUDIT_LOG
 from wafer_viewer.store.records.gauge_records import CALIBRATIONS, GAUGE_LOG, CalibrationChange
-from wafer_viewer.store.records.manifest import keys_of
+from wafer_viewer.store.records.manifest import keys_of, least_log_lengths
 from wafer_viewer.store.records.signed_log import read_log
 
 LOGS: dict[str, type[Spec]] = {
@@ -38,10 +38,10 @@ class RecordReport:
 def check_records(data: Dataset) -> RecordReport:
     """Verify the logs of the folder of a dataset, and that its verdicts and gauge checks agree with their numbers."""
     folder = data.path.absolute().parent
-    logs, faults = list[str](), list[str]()
+    logs, faults, least = list[str](), list[str](), least_log_lengths(data.path)
     for name, kind in LOGS.items():
-        path = folder / name
-        _note(faults, lambda path=path, kind=kind: logs.extend(_of_log(path, kind)))
+        path, n_least = folder / name, least.get(name, 0)
+        _note(faults, lambda path=path, kind=kind, n_least=n_least: logs.extend(_of_log(path, kind, n_least, data)))
     logs += _of_manifests(data)
     _note(faults, partial(trusted_checks, folder))
     for name in data.results():
@@ -57,13 +57,18 @@ def _note(faults: list[str], look: Callable[[], object]) -> None:
         faults.append(str(fault))
 
 
-def _of_log(path: Path, kind: type[Spec]) -> list[str]:
-    """Return a sentence on a log, none if there is no log and never was one."""
+def _of_log(path: Path, kind: type[Spec], n_least: int, data: Dataset) -> list[str]:
+    """Return a sentence on a log, none if there is no log and never was one.
+
+    Raises DatasetError when it was altered, or has fewer records than the manifests of the dataset say.
+    """
     log = read_log(path, kind)
-    if (n := len(log.records)) == 0:
+    if (n := len(log.records)) < n_least:
+        was = f"it has {n} record{'' if n == 1 else 's'}, and had {n_least} when {data.path.name} was signed"
+        raise DatasetError(f"{path} was removed or replaced together with its head: {was}: restore both from a copy.")
+    if n == 0:
         return []
-    signed = f"{log.n_signed} signed with the key {', '.join(log.keys)}" if log.n_signed else "none signed"
-    return [f"{path}: {n} record{'' if n == 1 else 's'}, {signed}"]
+    return [f"{path}: {n} record{'' if n == 1 else 's'}, {n} signed with the key {', '.join(log.keys)}"]
 
 
 def _of_manifests(data: Dataset) -> list[str]:

@@ -5,7 +5,7 @@ A CRC tells damage; whoever changes a file can give it the right one. ``manifest
 those of the recipe, surfaces, poses and mosaic, taken when the surface is complete, and of the records beside them,
 such as measurements and the verdict, each taken when it is saved. It names the scan and the result, so that files of
 another one do not pass, and is signed with the key of the data folder. A mark beside the key tells that there is a
-manifest.
+manifest. It also has how many records each signed log of the data folder held, so that a removed log is noticed.
 
 What it cannot prove: files that are replaced together with their manifest by an older state of both are valid, a
 manifest that is removed with its mark was never there, and who has the key can sign anything.
@@ -39,6 +39,7 @@ from wafer_viewer.store.io.checksums import (
     strip_checksum,
 )
 from wafer_viewer.store.io.file_lock import locked
+from wafer_viewer.store.records.signed_log import log_lengths
 from wafer_viewer.store.records.signing_key import (
     KEPT_IN,
     KEY_FILE,
@@ -87,7 +88,8 @@ class Manifest(Spec, frozen=True, kw_only=True):
     """Files of a scan or of a result by their paths in it, signed.
 
     of: name of the result, empty for the scan; scan: SHA-256 of the record of the scan; complete: whether everything
-    that is made together is covered; key, signature: hex, empty in a folder where no key can be kept.
+    that is made together is covered; logs: least number of records of each signed log of the data folder; key,
+    signature: hex, empty in a folder where no key can be kept.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -95,6 +97,7 @@ class Manifest(Spec, frozen=True, kw_only=True):
     scan: str
     complete: bool
     files: dict[str, Covered]
+    logs: dict[str, int] = msgspec.field(default_factory=dict[str, int])
     key: str
     signature: str
 
@@ -144,7 +147,12 @@ class _Place:
         """Return the manifest to be changed, a new one if there is none and no record needs it."""
         if not self.path.is_file() and not any((self.folder / name).is_file() for name in RECORDS):
             return self.new()
-        return self.read() or self.new()
+        found = self.read()
+        return self.new() if found is None else replace(found, logs=self.logs_of(found))
+
+    def logs_of(self, manifest: Manifest | None) -> dict[str, int]:
+        """Return the logs that a manifest names, none of those of another folder, from which the dataset was copied."""
+        return manifest.logs if manifest is not None and self.mark.exists() else {}
 
     def require_trusted(self, manifest: Manifest) -> None:
         """Raise DatasetError for a manifest that is not signed with a key of the data folder, though it was once.
@@ -165,7 +173,10 @@ class _Place:
         )
 
     def write(self, manifest: Manifest) -> None:
-        """Sign and write a manifest."""
+        """Sign and write a manifest, with the logs as long as they are now, or once were."""
+        once, now = manifest.logs, log_lengths(self.data_folder)
+        logs = {name: max(once.get(name, 0), now.get(name, 0)) for name in sorted(once.keys() | now.keys())}
+        manifest = replace(manifest, logs=logs)
         key, signature = _signature(self.data_folder, _signed_bytes(manifest))
         save_json(self.path, replace(manifest, key=key, signature=signature))
         if key and not self.mark.exists() and not self.dataset.name.startswith("."):
@@ -196,7 +207,7 @@ def sign_scan(dataset: Path) -> None:
                 raise DatasetError(fault)
         files = {name: _covered(dataset / name) for name in SCAN_FILES if (dataset / name).is_file()}
         if before is None or before.files != files:
-            place.write(replace(place.new(), complete=True, files=files))
+            place.write(replace(place.new(), complete=True, files=files, logs=place.logs_of(before)))
 
 
 def sign_result(result: Path, *, fresh: bool = False) -> None:
@@ -338,6 +349,18 @@ def keys_of(dataset: Path) -> tuple[str, ...]:
     return tuple(keys)
 
 
+def least_log_lengths(dataset: Path) -> dict[str, int]:
+    """Return how many records each log of the data folder has at least, by the manifests that were signed in it."""
+    least: dict[str, int] = {}
+    for place in map(_Place, (dataset, *sorted((dataset / "results").glob("*")))):
+        with suppress(DatasetError):
+            if place.mark.exists() and (manifest := place.read()) is not None:
+                place.require_trusted(manifest)
+                for name, n in manifest.logs.items():
+                    least[name] = max(n, least.get(name, 0))
+    return least
+
+
 def without_manifest(dataset: Path) -> int:
     """Return the number of results that have none."""
     return sum(p.is_dir() and p.name[0] != "." and not (p / MANIFEST).exists() for p in (dataset / "results").glob("*"))
@@ -442,8 +465,9 @@ def _signed(mark: FileMark) -> Manifest:
 
 
 def _signed_bytes(manifest: Manifest) -> bytes:
-    files = sorted(manifest.files.items())
-    return msgspec.json.encode((MANIFEST, manifest.of, manifest.scan, manifest.complete, files))
+    files, logs = sorted(manifest.files.items()), sorted(manifest.logs.items())
+    parts = (MANIFEST, manifest.of, manifest.scan, manifest.complete, files)
+    return msgspec.json.encode((*parts, logs) if logs else parts)
 
 
 def _signature(data_folder: Path, content: bytes) -> tuple[str, str]:

@@ -2,17 +2,20 @@
 
 A line is a record as JSON with a last member ``"link"``: the SHA-256 of all bytes before the line, and the signature of
 that digest and the record with the key of the data folder. A head, beside the key, holds the number of lines and the
-digest of the whole log, signed, so that records at the end are missed, too. Lines of earlier versions have no link; the
-first link covers them.
+digest of the whole log, signed, so that records missing at the end are noticed, too. A line without a link, and lines
+without a head, are of an altered log.
 
-What a log cannot prove: a log that is replaced together with its head by an older state of both is a valid log, and who
-has the key can sign anything. Reports name the number of records and the key; keep them elsewhere.
+What a log cannot prove: a log that is removed, or replaced by an older state, together with its head is a valid log.
+The manifests of datasets hold how many records each log had when they were signed, so that a shorter one is noticed
+beside a dataset that was signed later. Who has the key can sign anything. Reports name the number of records and the
+key; keep them elsewhere.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
@@ -62,10 +65,9 @@ class LogHead(Spec, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class SignedLog(Generic[S]):
-    """Records of a log, oldest first; n_signed: how many are signed; keys: public keys of the signatures, hex."""
+    """Records of a log, oldest first, and the public keys of their signatures, hex."""
 
     records: tuple[S, ...]
-    n_signed: int
     keys: tuple[str, ...]
 
 
@@ -88,7 +90,21 @@ def read_log(path: Path, kind: type[S]) -> SignedLog[S]:
         decode(_record_bytes(strip_checksum(line)), kind, f"{path}, line {n}", "json")
         for n, line in enumerate(lines, 1)
     )
-    return SignedLog(records, len(keys), tuple(dict.fromkeys(keys)))
+    return SignedLog(records, tuple(dict.fromkeys(keys)))
+
+
+def log_lengths(folder: Path) -> dict[str, int]:
+    """Return how many records each log of a data folder has by its head, by name of the log.
+
+    Heads that are damaged, or not signed with a key of the folder, are left out.
+    """
+    lengths: dict[str, int] = {}
+    for file in sorted((folder / KEPT_IN).glob(f"*{HEAD}")):
+        with suppress(DatasetError):
+            head = load_json(file, LogHead)
+            if head.lines and _is_valid(head) and head.key in trusted_keys(folder):
+                lengths[file.name.removesuffix(HEAD)] = head.lines
+    return lengths
 
 
 def _append(path: Path, text: bytes) -> None:
@@ -115,7 +131,12 @@ def _save_head(path: Path, key: Ed25519PrivateKey, n_lines: int, sha256: str) ->
 
 def _is_own(head: LogHead, sha256: str, own: str) -> bool:
     """Return whether a head was signed with the folder's own key for exactly these bytes, which were verified then."""
-    return (head.key, head.sha256) == (own, sha256) and is_signed(_head_bytes(head.lines, sha256), own, head.signature)
+    return (head.key, head.sha256) == (own, sha256) and _is_valid(head)
+
+
+def _is_valid(head: LogHead) -> bool:
+    """Return whether the signature of a head fits."""
+    return is_signed(_head_bytes(head.lines, head.sha256), head.key, head.signature)
 
 
 def _record_bytes(line: bytes) -> bytes:
@@ -135,15 +156,14 @@ def _verify(path: Path, content: bytes, head: LogHead | None) -> list[str]:
         if line_state(line.rstrip(b"\n")) is Checksum.DAMAGED:
             raise DatasetError(f"{path}, line {n} is damaged, its checksum differs: restore it from a copy.")
         text = strip_checksum(line.rstrip(b"\n"))
-        if (link := _LINK.search(text)) is not None:
-            after, key, value = (part.decode() for part in link.groups())
-            if after != digest.hexdigest():
-                raise _altered(path, f"line {n} does not follow the lines before it, one of which was changed or moved")
-            if not is_signed(_signed_bytes(digest.digest(), _record_bytes(text)), key, value):
-                raise _altered(path, f"the signature of line {n} does not fit its contents")
-            keys.append(key)
-        elif keys:
-            raise _altered(path, f"line {n} is not signed, those before it are")
+        if (link := _LINK.search(text)) is None:
+            raise _altered(path, f"line {n} is not signed, and every record is signed when it is made")
+        after, key, value = (part.decode() for part in link.groups())
+        if after != digest.hexdigest():
+            raise _altered(path, f"line {n} does not follow the lines before it, one of which was changed or moved")
+        if not is_signed(_signed_bytes(digest.digest(), _record_bytes(text)), key, value):
+            raise _altered(path, f"the signature of line {n} does not fit its contents")
+        keys.append(key)
         digest.update(line)
         digests.append(digest.hexdigest())
     _verify_head(path, head, digests, keys)
@@ -163,7 +183,7 @@ def _verify_head(path: Path, head: LogHead | None, digests: list[str], keys: lis
         if keys:
             raise _altered(path, f"its head {file} is missing, so lines at its end may be, too")
         return
-    if not is_signed(_head_bytes(head.lines, head.sha256), head.key, head.signature):
+    if not _is_valid(head):
         raise _altered(path, f"the signature of its head {file} does not fit")
     if len(digests) <= head.lines:
         raise _altered(path, f"it has {len(digests) - 1} lines, and had {head.lines}: the last were removed")
