@@ -6,7 +6,7 @@ import pytest
 
 from tests.rigs.pulse_box.worlds import (
     ATMEGA2560,
-    RP2040,
+    RP2040_DRAWN,
     RP2040_USB,
     RP2040JS,
     ProgramWorld,
@@ -39,7 +39,7 @@ def rp2040_image(built):
     return built("rp2040") / "pulse_box_rp2040.uf2"
 
 
-@pytest.fixture(params=["virtual", "host", ATMEGA2560, RP2040, RP2040_USB])
+@pytest.fixture(params=["virtual", "host", ATMEGA2560, RP2040_DRAWN, RP2040_USB])
 def world(request, built):
     """Each kind of box in turn, with a scale and a watched trigger."""
     if request.param == "virtual":

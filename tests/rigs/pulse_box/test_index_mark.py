@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.rigs.pulse_box.worlds import VirtualWorld, of_the_board
+from tests.rigs.pulse_box.worlds import VirtualWorld, mostly_of_the_core, of_the_board
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.pulse_box.client import _identity
@@ -28,7 +28,7 @@ def test_an_awaited_mark_sets_the_count_at_its_position(world, box):
     assert box.count("z") == pytest.approx(71_000, abs=1)
 
 
-@of_the_board
+@mostly_of_the_core
 def test_until_the_mark_comes_nothing_changes_but_arming_is_refused(world, box):
     train = PulseTrain(axis="z", first_count=71_100, counts_per_frame=100, n_frames=3, direction=1)
     box.reference_by_index("z", 70_000)
@@ -45,7 +45,7 @@ def test_until_the_mark_comes_nothing_changes_but_arming_is_refused(world, box):
     assert [p.count for p in box.pulses()] == [71_100, 71_200, 71_300]
 
 
-@of_the_board
+@mostly_of_the_core
 def test_a_mark_that_is_not_awaited_changes_nothing(world, box):
     world.move(6_000)
     world.move(-3_000)
@@ -56,7 +56,7 @@ def test_a_mark_that_is_not_awaited_changes_nothing(world, box):
     assert (box.count("z"), box.latched("z")) == (6_300, None), "set otherwise meanwhile"
 
 
-@of_the_board
+@mostly_of_the_core
 def test_only_the_first_mark_counts_and_each_axis_has_its_own(world, box):
     world.put_mark(200, axis="x")
     box.reference_by_index("x", 1_000)
@@ -72,7 +72,7 @@ def test_only_the_first_mark_counts_and_each_axis_has_its_own(world, box):
     assert box.latched("x") is None
 
 
-@of_the_board
+@mostly_of_the_core
 def test_a_mark_met_downward_sets_the_same_count(world, box):
     world.move(6_000)
     box.reference_by_index("z", 70_000)
@@ -80,7 +80,7 @@ def test_a_mark_met_downward_sets_the_same_count(world, box):
     assert box.count("z") == pytest.approx(69_000, abs=1)
 
 
-@of_the_board
+@mostly_of_the_core
 def test_an_unknown_mode_is_refused(box):
     with pytest.raises(RigError, match=r"refused REF: no.*mode"):
         box._ask("REF", AX="Z", COUNT=0, MODE="SOON")

