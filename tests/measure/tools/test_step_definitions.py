@@ -49,6 +49,35 @@ def test_the_definition_says_how_far_the_others_are_unless_it_is_fixed():
     assert lines["lower_face"]["levelling"] == 0.0
 
 
+def test_u_reaches_the_height_levelled_to_either_face():
+    """The wide lower face levels the common plane: the upper face alone gives a height far from it."""
+    narrow = Region.rectangle(-70, -50, -40, 50)
+    tilted = gauge_blocks(1, noise_um=0.01, tilt=TILT, u_z_scale=0.0)
+    step = step_height(tilted, narrow, LOWER)
+    for definition in ("upper_face", "lower_face"):
+        other = step_height(tilted, narrow, LOWER, definition=definition).height.value_um
+        assert abs(other - step.height.value_um) <= step.height.expanded_um, definition
+
+
+def padded():
+    """A level step of 30 um; the far half of its upper face lies 0.9 um higher, as bond pads do."""
+    x_um, _ = np.meshgrid(*coordinates(200, 400))
+    z = 30.0 * (x_um < 0) + 0.9 * (x_um < -70)
+    return surface_of(z + noise_of(5, z.shape, 0.1, 3), calibration=calibration(u_z_scale=0.0))
+
+
+@pytest.mark.parametrize("street", [Region.rectangle(40, -45, 60, 45), Region.rectangle(40, -45, 95, 45)])
+def test_two_levels_in_a_region_are_in_u_and_named(street):
+    step = step_height(padded(), Region.rectangle(-95, -45, -40, 45), street)
+    assert 1.0 < abs(step.height.value_um - 30.0) <= step.height.expanded_um, "relief tilts the face, and with it h"
+    (note,) = (note for note in step.notes if "levelling" in note)
+    assert f"tilted by {step.tilt.value:.1f} mrad against each other" in note
+    assert "draw each region on ground of one level" in note
+    flat = step_height(padded(), Region.rectangle(-68, -45, -40, 45), street)
+    assert abs(flat.height.value_um - 30.0) <= flat.height.expanded_um < 0.5
+    assert not [note for note in flat.notes if "levelling" in note]
+
+
 def u_of(budget, name):
     return {line.name: line.u_um for line in budget}[name]
 

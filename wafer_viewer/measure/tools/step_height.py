@@ -335,8 +335,13 @@ def step_height(
 
     Notes
     -----
+    The result is the distance of two planes, not of two mean heights: relief within a region, such as pads, lines or a
+    second level, tilts its plane and changes the height by the tilt times the distance of the regions. Each region
+    belongs on ground of one level; regions on both sides of the other face make the height insensitive to tilt.
+
     Where faces are tilted against each other the definition of the height is part of the result, so the values of the
-    other definitions are reported with it, in its notes. Uncertainties are expressed as in the GUM [1]_.
+    other definitions are reported with it, in its notes, and with a common plane U reaches both of them. Uncertainties
+    are expressed as in the GUM [1]_.
 
     References
     ----------
@@ -353,7 +358,13 @@ def step_height(
     h = gradients(faces, definition)
     budget = _budget(reading, level, faces, h, definition, conditions)
     shade = _in_the_shade(faces, h.value(faces), reading.surface.provenance.calibration)
-    notes = *_other_definitions(faces), *shade, *dict.fromkeys((*faces.high.notes, *faces.low.notes))
+    tilt = _tilt(reading, faces)
+    notes = (
+        *_other_definitions(faces),
+        *_tilted_faces(budget, tilt),
+        *shade,
+        *dict.fromkeys((*faces.high.notes, *faces.low.notes)),
+    )
     return StepHeight(
         **reading.result_fields(name, level, *notes, *reading.not_in_budget(own=True)),
         upper=uppers[0],
@@ -364,7 +375,7 @@ def step_height(
         definition=SENTENCES[definition],
         options=StepOptions(definition=definition, conditions=conditions),
         at_joint=_at_joint(reading, level, faces, conditions),
-        tilt=_tilt(reading, faces),
+        tilt=tilt,
         relative_tilt_mrad=_tilt_mrad(faces),
         upper_mean_um=faces.high.mean_um,
         lower_mean_um=faces.low.mean_um,
@@ -405,20 +416,24 @@ def _budget(
         return None
     of_points = {
         NOISE: noise_um(h.scatter(faces), 0.0 if level else h.pixel_noise_um(reading, faces)),
-        LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
+        LEVELLING: _levelling_um(faces, h) if definition == "common_plane" else 0.0,
         POSES: poses_u_um(reading.surface, pose_sensitivities(faces, h)),
     }
     return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
 
 
-def _levelling_um(faces: StepFaces) -> float:
-    """Return the standard uncertainty of levelling: the change of h between the two faces, less its noise.
+def _levelling_um(faces: StepFaces, h: LinearFunctional) -> float:
+    """Return the standard uncertainty of levelling: h may be anywhere between its heights levelled to either face.
 
-    The change is taken as the full width of a uniform distribution. The noise of the two is in its own line.
+    They bound a uniform distribution; its deviation is from h, which lies nearer to the height over the wider face. The
+    part of their distance that is noise has its own line.
     """
-    differ = gradients(faces, "lower_face").minus(gradients(faces, "upper_face"))
-    by_noise_um = 2 * differ.scatter(faces).widened
-    return math.sqrt(max(0.0, differ.value(faces) ** 2 - by_noise_um**2) / 12)
+    over_upper, over_lower = gradients(faces, "upper_face"), gradients(faces, "lower_face")
+    from_upper_um, from_lower_um = over_upper.minus(h).value(faces), over_lower.minus(h).value(faces)
+    apart = over_lower.minus(over_upper)
+    by_noise_um = 2 * apart.scatter(faces).widened
+    tilted = 1 - (by_noise_um / max(abs(apart.value(faces)), by_noise_um, 1e-12)) ** 2
+    return math.sqrt(tilted * (from_upper_um**2 + from_upper_um * from_lower_um + from_lower_um**2) / 3)
 
 
 def _at_joint(reading: MeasurementContext, level: int, faces: StepFaces, conditions: Conditions) -> Length:
@@ -453,6 +468,19 @@ def _other_definitions(faces: StepFaces) -> tuple[str, ...]:
     return (
         f"Levelled to the upper face: {over_upper:.3f} um, to the lower: {over_lower:.3f} um.",
         f"Both faces extended to the middle between the regions, {place}: {at_joint:.3f} um.",
+    )
+
+
+def _tilted_faces(budget: Budget | None, tilt: Quantity) -> tuple[str, ...]:
+    """Return a note where levelling is most of U: parallel faces look tilted if a region holds several levels."""
+    lines = dict(budget.lines) if budget is not None else {}
+    levelling_um = lines.pop(LEVELLING, 0.0)
+    if levelling_um <= math.hypot(*lines.values()):
+        return ()
+    return (
+        f"Most of U is levelling: the faces are tilted by {tilt.value:.1f} mrad against each other. If they should be "
+        "parallel, pads, lines or bow tilt one of them: draw each region on ground of one level, or several regions "
+        "round the other face.",
     )
 
 
