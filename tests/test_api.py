@@ -83,6 +83,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
         wv.reconstrukt  # noqa: B018
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "first",
     ["wv.stitch", "wv.reconstruct", "__import__('wafer_viewer.reconstruct.blending.stitched_mosaic')", "wv.Session"],

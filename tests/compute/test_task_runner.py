@@ -26,7 +26,7 @@ def cluster():
         yield crew
 
 
-@pytest.fixture(params=["serial", "threads", "cluster"])
+@pytest.fixture(params=["serial", "threads", pytest.param("cluster", marks=pytest.mark.slow)])
 def crew(request):
     match request.param:
         case "serial":
@@ -75,11 +75,13 @@ def test_a_runner_without_a_consumer_stops(crew, tmp_path):
     assert len(list(tmp_path.iterdir())) == left
 
 
+@pytest.mark.slow
 def test_a_worker_keeps_freed_memory_for_the_next_array(cluster):
     (done,) = cluster.each(worker_tasks.said_to_the_process, [("MALLOC_TRIM_THRESHOLD_",)])
     assert int(done.value) > 2**20
 
 
+@pytest.mark.slow
 def test_workers_are_set_up_alike_beside_another_cluster_which_keeps_its_settings(monkeypatch):
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")  # as another dask cluster of this process leaves it
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
@@ -91,6 +93,7 @@ def test_workers_are_set_up_alike_beside_another_cluster_which_keeps_its_setting
     assert "OMP_NUM_THREADS" not in os.environ
 
 
+@pytest.mark.slow
 def test_a_bug_ends_its_task_on_a_worker_and_everything_here(cluster):
     assert "TypeError: seven" in str(next(cluster.each(worker_tasks.square_or_fault, [(7,)])).fault)
     with pytest.raises(TypeError):

@@ -39,6 +39,7 @@ def test_the_literal_equations_raise_the_error_of_a_noisy_map(step: tuple[NDArra
     assert np.median(after) < 18
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mode", "left_um"), [("guided", 1.80), ("switching_median", 1.58), ("sigma_filter", 0.55)])
 def test_the_other_forms_take_salt_and_blobs_away(step: tuple[NDArray, NDArray], mode: str, left_um: float) -> None:
     truth, z = step

@@ -81,6 +81,7 @@ def test_a_plane_may_be_as_steep_along_a_diagonal(angle_deg: float, slope: float
     assert np.isfinite(found.raw_um).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jump_um", [7.0, 10.0])
 def test_a_jump_on_a_slope_is_still_an_edge(jump_um: float) -> None:
     right = np.arange(80, dtype=np.float32) * np.ones((60, 1), np.float32)

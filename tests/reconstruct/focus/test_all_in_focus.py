@@ -65,6 +65,7 @@ def test_light_that_bends_along_z_is_read_right_between_frames(focus_width_um: f
     np.testing.assert_allclose(grey, 4000 + 300 * place - 40 * place**2, atol=4)  # a 64th of a step is 4 counts here
 
 
+@pytest.mark.slow
 def test_light_of_a_trench_leaves_no_contours_on_the_dies():
     scene = drawn_scene(102, 128, faults=False)
     surface = reconstruct(scene.stack, threads=1)

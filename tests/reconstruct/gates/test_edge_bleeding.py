@@ -108,6 +108,7 @@ def test_hardly_a_kept_height_is_false(dies: Taken, mapped: dict[str, HeightMap]
     assert rims[0] > band[0] + 0.03
 
 
+@pytest.mark.slow
 def test_the_rims_of_the_dies_come_back(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     rims = rims_of(dies)
     assert kept_and_false(mapped["none"], dies, rims)[1] > 0.05
@@ -117,12 +118,14 @@ def test_the_rims_of_the_dies_come_back(dies: Taken, mapped: dict[str, HeightMap
     assert false < 0.01
 
 
+@pytest.mark.slow
 def test_the_floor_of_the_trench_stays(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     stored, false = kept_and_false(mapped["rims"], dies, dies.scene.layer == 0)
     assert stored > 0.8
     assert false < 0.01
 
 
+@pytest.mark.slow
 def test_bleeding_is_a_reason_next_to_walls_only(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     bled = mapped["rims"].origin == Origin.BLEEDING_EDGE
     assert 0.01 < bled.mean() < 0.2
@@ -130,6 +133,7 @@ def test_bleeding_is_a_reason_next_to_walls_only(dies: Taken, mapped: dict[str, 
     assert not (mapped["none"].origin == Origin.BLEEDING_EDGE).any()
 
 
+@pytest.mark.slow
 def test_beyond_the_band_nothing_changes(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     far = dies.scene.edge_distance_px > NEAR_WALL_PX
     before, after = (mapped[mode].z_raw_um[far] for mode in ("none", "rims"))
@@ -167,6 +171,7 @@ def test_sides_are_distinguished_where_the_nearest_wall_is_sharp() -> None:
     assert (band.frame[band.inside] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("measure", "width_um", "false", "kept"), [("sml", 8.0, 0.06, 0.3), ("tenengrad", 14.0, 0.1, 0.0)]
 )
@@ -283,6 +288,7 @@ def test_a_bright_line_on_one_measured_surface_parts_no_heights() -> None:
     assert np.isnan(beyond_um[1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", drawn_after(1, [80, 94, 96]))
 def test_a_die_without_texture_does_not_get_the_height_of_the_trench_beside_it(seed: int) -> None:
     """The focus window sees the trench up to 16 px away, and silhouettes last for a few coarse frames only."""
@@ -347,6 +353,7 @@ def test_a_surface_without_walls_is_left_alone(plane_stack: FieldStack) -> None:
     np.testing.assert_array_equal(none.origin, rims.origin)
 
 
+@pytest.mark.slow
 def test_pictures_that_are_not_as_stored_and_threads_change_nothing(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     turned = dataclasses.replace(dies.stack, images=np.asfortranarray(dies.stack.images))
     again = reconstruct(turned, changed(RECIPE, edges="rims"), threads=2)
@@ -354,6 +361,7 @@ def test_pictures_that_are_not_as_stored_and_threads_change_nothing(dies: Taken,
     np.testing.assert_allclose(again.z_raw_um, mapped["rims"].z_raw_um, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_short_stack_says_what_is_off(dies: Taken) -> None:
     some = slice(20, 30)
     stack = dataclasses.replace(
@@ -364,6 +372,7 @@ def test_a_short_stack_says_what_is_off(dies: Taken) -> None:
     assert not np.isin(height.origin, [Origin.BLEEDING_EDGE, Origin.WINDOWS_DISAGREE]).any()
 
 
+@pytest.mark.slow
 def test_a_pixel_that_bled_can_be_asked(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     height = mapped["band"]
     row, col = np.argwhere(height.origin == Origin.BLEEDING_EDGE)[40]
@@ -439,6 +448,7 @@ def test_a_peak_at_the_end_of_the_sweep_is_not_taken_for_none(peak: float) -> No
     assert not edges.along.any()
 
 
+@pytest.mark.slow
 def test_the_band_is_as_wide_as_it_says(dies: Taken) -> None:
     band = find_band(silhouette_of(prepare(dies.stack)), 4)
     assert band is not None

@@ -39,6 +39,7 @@ def test_a_session_sets_the_exposure_in_one_step_and_then_the_bracket_in_another
     assert session.snapshot.draft.job == before
 
 
+@pytest.mark.slow
 def test_a_cancelled_search_leaves_the_plan_as_it_is(session, job):
     session.edit_job(job()).result(PATIENCE_S)
     running = session.find_exposure((2,))
@@ -55,6 +56,7 @@ def test_a_cancelled_search_leaves_the_plan_as_it_is(session, job):
         session.take_bracket().result(PATIENCE_S)
 
 
+@pytest.mark.slow
 def test_it_is_refused_with_the_reason(session, job):
     plan_editor = session._coordinator.plan_editor
     session.edit_job(job()).result(PATIENCE_S)

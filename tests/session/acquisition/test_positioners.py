@@ -55,6 +55,7 @@ def test_a_stop_ends_a_motion_of_a_positioner_and_the_lift_before_it(talk, rig):
     assert [event.position.z_um < 9_000.0 for event in talk.events if isinstance(event, StageMoved)] == [True]
 
 
+@pytest.mark.slow
 def test_a_session_turns_the_nosepiece_and_plans_again_for_the_new_field(tmp_path):
     session = Session(tmp_path, read_config(NOSEPIECE))
     try:
@@ -74,6 +75,7 @@ def test_a_session_turns_the_nosepiece_and_plans_again_for_the_new_field(tmp_pat
         session.close()
 
 
+@pytest.mark.slow
 def test_a_scan_records_the_positions_and_does_not_go_on_with_another_objective(tmp_path):
     rig = open_rig(read_config(NOSEPIECE))
     try:

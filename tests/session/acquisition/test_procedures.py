@@ -122,6 +122,7 @@ def test_a_failed_procedure_is_refused_with_its_reason_and_the_rig_goes_on(ask, 
     assert reply.value == 1
 
 
+@pytest.mark.slow
 def test_a_session_shows_a_procedure_as_work_and_cancels_it(session):
     coordinator = session._coordinator
     rig, queue = coordinator.rig, coordinator.command_queue

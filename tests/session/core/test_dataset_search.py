@@ -46,6 +46,7 @@ def test_the_verdict_on_disk_is_found_and_a_damaged_one_is_none(folder: Path) ->
     assert [entry.verdict for entry in datasets_in(folder, "judged")] == [""]
 
 
+@pytest.mark.slow
 def test_the_command_line_finds_them(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["find", str(folder), "judged"]) == 0
     told = capsys.readouterr().out

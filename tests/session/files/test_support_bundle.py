@@ -51,6 +51,7 @@ def test_secrets_and_names_are_taken_out(tmp_path: Path, log: Path) -> None:
     assert 'kind = "virtual"' in found["rig.toml"]
 
 
+@pytest.mark.slow
 def test_keys_and_tokens_of_the_data_folder_are_not_read(tmp_path: Path, log: Path, capsys) -> None:
     from wafer_viewer.session.core.audit_trail import record
     from wafer_viewer.session.core.page_token import page_token
@@ -66,6 +67,7 @@ def test_keys_and_tokens_of_the_data_folder_are_not_read(tmp_path: Path, log: Pa
     assert "PRIVATE" not in whole
 
 
+@pytest.mark.slow
 def test_records_of_a_named_dataset_are_in_it_and_no_frames(tmp_path: Path, log: Path) -> None:
     scanned = complete_dataset(tmp_path / "w1.wafer")
     words = ["bundle", "--out", str(tmp_path / "s.zip"), "--data", str(tmp_path), "--dataset", str(scanned)]
