@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.acquire.ledger import Ledger
+from tests.support.campaigns import drawn_after
 from wafer_viewer.acquire.motion import ARRIVED_WITHIN_UM, come_to_rest, move
 from wafer_viewer.acquire.scan_runner import PASS_TRIES, run_scan
 from wafer_viewer.model.acquisition.devices import Position
@@ -221,7 +222,7 @@ def z_error_counts(rig, place, frame):
 
 
 @pytest.mark.parametrize(("noise", "lasting"), [(1, False), (1, True), (2, False)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", drawn_after(1, range(3)))
 def test_a_stage_that_does_not_tell_single_counts_gives_few_false_alarms(
     noise, lasting, seed, virtual_rig, small_plan, control, monkeypatch
 ):
@@ -336,7 +337,7 @@ def test_a_long_pause_does_not_shift_the_clocks_by_a_pulse(virtual_rig, small_pl
     assert all(abs(place(f.image)[0][2] - f.z_um) < 0.12 for f in ledger.kept.values())
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", drawn_after(2, range(20)))
 def test_random_extra_and_ignored_triggers_and_lost_images_mislabel_none(seed, scan):
     rng = np.random.default_rng(seed)
     extra, ignored, lost = (rng.choice(np.arange(1, 240), n, replace=False) for n in (6, 4, 3))
