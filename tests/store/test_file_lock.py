@@ -15,10 +15,13 @@ from typing import ClassVar
 
 import pytest
 
+from tests.support.datasets.samples import make_job, make_plan
 from tests.support.paths import ROOT
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Spec
+from wafer_viewer.store.dataset.integrity import KINDS
 from wafer_viewer.store.dataset.lock import Holder, Lock, holder_of
+from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io import file_lock
 from wafer_viewer.store.io.file_lock import is_locked, locked, try_lock
 from wafer_viewer.store.io.process_identity import Process, this_process
@@ -90,6 +93,21 @@ def test_killed_process_keeps_no_lock_of_a_disk_without_locks(tmp_path, without_
     assert [path for path in tmp_path.iterdir() if path.name.startswith("lock.held-")]
     assert holder_of(tmp_path) is None
     Lock.take(tmp_path).release()
+
+
+def test_name_is_free_again_after_its_maker_was_killed_on_a_disk_without_locks(tmp_path, without_locks):
+    folder = tmp_path / "a.wafer"
+    folder.mkdir()
+    assert run(WITHOUT_LOCKS + TAKE + KILLED, folder).returncode == -9
+    (folder / "frames").mkdir()
+    job = make_job()
+    with DatasetWriter.create(folder, make_plan(job), job):
+        unknown = [name for name in names_in(folder) if not any(kind.pattern.fullmatch(name) for kind in KINDS)]
+        assert unknown == []
+
+
+def names_in(folder):
+    return [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
 
 
 def test_announcement_of_another_machine_is_believed_and_the_way_out_is_named(tmp_path, without_locks):

@@ -30,6 +30,7 @@ from wafer_viewer.store.io.checksums import (
     require_json,
     text_state,
 )
+from wafer_viewer.store.io.file_lock import ANNOUNCEMENT
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
 from wafer_viewer.store.mosaic.statistics import facts_state
@@ -215,7 +216,9 @@ KINDS = (
     _kind(MANIFESTS, rf"({_RESULT})?{re.escape(MANIFEST)}", None),  # compared with the files that they list
     _kind("Frames", rf"{FRAMES}/[^/]+\.tif", None),  # compared with the journal
     _kind("Pictures of results", _RESULT + r"thumbnails/\d+\.jpg", None),  # for viewing only, never measured
-    _kind("Lock", r"lock", None),  # names the process that writes; the lock of the operating system counts
+    _kind(
+        "Lock", rf"lock({ANNOUNCEMENT})?", None
+    ),  # names the process that writes; the lock of the operating system counts
     _kind("Left by a process that ended", r"(.+/)?\.[^/]+\.part(\.old)?(/.*)?", None),  # never read
 )
 

@@ -49,9 +49,12 @@ from wafer_viewer.store.dataset.scan_record import (
 )
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space, to_disk
 from wafer_viewer.store.io.checksums import save_json
+from wafer_viewer.store.io.file_lock import ANNOUNCEMENT
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
-_OF_NEW_FOLDER = re.compile(rf"{FRAMES}|{RESULTS}|lock|{re.escape(JOURNAL)}|{re.escape(FLAT_FIELD)}|\..*\.part")
+_OF_NEW_FOLDER = re.compile(
+    rf"{FRAMES}|{RESULTS}|lock({ANNOUNCEMENT})?|{re.escape(JOURNAL)}|{re.escape(FLAT_FIELD)}|\..*\.part"
+)
 """Names of what is made before the record of the scan."""
 _MAKING_S = 2.0
 """Age of a folder, in s, before which its process may not have locked it yet."""

@@ -24,6 +24,8 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.process_identity import Process, this_process
 
+ANNOUNCEMENT = r"\.held-\d+-[0-9a-f]{8}"
+"""End of the name of an announcement, after that of the locked file, as a regular expression."""
 _PAUSE_S = 0.02
 _HELD = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """Errors by which the operating system says that another process has the lock."""
