@@ -163,7 +163,9 @@ check_docstrings() {
 }
 
 compile_kernels() {
-  "$venv/bin/python" -c "from wafer_viewer.reconstruct.field_pipeline import warm_up; warm_up()"
+  "$venv/bin/python" -c 'if __name__ == "__main__":
+    from wafer_viewer.session.surface.kernel_build import compile_missing
+    compile_missing()'
 }
 
 # Two at a time; what they print is shown in order when all are over.

@@ -40,8 +40,9 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
+from wafer_viewer.session.surface.kernel_build import load_all
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
-from wafer_viewer.session.surface.worker_tasks import reconstruct_field, warm_up
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.mosaic.poses_file import POSES
@@ -161,7 +162,7 @@ def show_stitching(two: TaskRunner, path: Path, rounds: int) -> None:
     with client_of(None, 1) as client:
         one = DaskRunner(client)
         for crew in (one, two):
-            drain(crew, warm_up, [()] * 2 * WORKERS)
+            drain(crew, load_all, [()] * 2 * WORKERS)
         least = {name: dict.fromkeys(PARTS, float("inf")) for name in ("one worker", "two workers")}
         for _ in range(rounds):
             for name, crew in zip(least, (one, two), strict=True):
@@ -267,7 +268,7 @@ def nothing(number: int) -> int:
 
 def warm() -> None:
     """Load the kernels."""
-    warm_up()
+    load_all()
 
 
 if __name__ == "__main__":

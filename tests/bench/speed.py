@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.bench import paper
 from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
 from tests.bench.tables import met, show
-from tests.support.installation import build_wheel, install_wheel, run, sharpest_in_the_middle
+from tests.support.installation import run, sharpest_in_the_middle
 from tests.support.paths import ROOT
 from wafer_viewer.compute.dask_cluster import SETTINGS
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
@@ -60,7 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="How fast a field becomes a surface.")
     parser.add_argument("--quick", action="store_true", help="a short field, fewer runs")
     quick = parser.parse_args().quick
-    show_first_call(quick)
+    show_first_call()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "field.npy"
         stack = field_on_disk(file, 12 if quick else 126)
@@ -71,22 +71,15 @@ def main() -> None:
     show_stitch(2 if quick else 4)
 
 
-def show_first_call(quick: bool) -> None:
-    """The first `wafer-viewer reconstruct` of a user, after an installation and from a checkout."""
+def show_first_call() -> None:
+    """The first `wafer-viewer reconstruct` of a user."""
     rows: list[tuple[str | float, ...]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         images = sharpest_in_the_middle(folder / "stack.tif")
-        if not quick:
-            began, busy = time.perf_counter(), children_s()
-            wheel = build_wheel(folder / "source", folder / "wheel")
-            rows.append(("building the wheel: kernels compiled", time.perf_counter() - began, children_s() - busy, ""))
-            command = (install_wheel(wheel, folder / "environment") / "wafer-viewer",)
-            for what in ("after `pip install .`", "the same again"):
-                rows.append(first_call(what, command, images, folder / "installed"))
         here = (sys.executable, "-m", "wafer_viewer")
-        for what in ("from a checkout, nothing compiled", "the same again"):
-            rows.append(first_call(what, here, images, folder / "checkout", PYTHONPATH=str(ROOT)))
+        for what in ("nothing compiled", "the same again"):
+            rows.append(first_call(what, here, images, folder / "cache", PYTHONPATH=str(ROOT)))
     header = ("wafer-viewer reconstruct, 12 frames of 200 x 260, s", "clock", "processor time", "goal")
     show("First call", header, rows)
 

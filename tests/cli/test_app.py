@@ -16,6 +16,7 @@ import tifffile
 from tests.support.command_line import process, refused, start, viewer
 from tests.support.paths import ROOT
 from wafer_viewer.cli.app import commands
+from wafer_viewer.session.surface import kernel_build
 from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = pytest.mark.slow
@@ -302,17 +303,19 @@ def test_an_import_is_a_dataset(images, tmp_path):
 
 def test_the_doctor_says_what_there_is_and_compiles_what_a_surface_needs(tmp_path, monkeypatch):
     compiled = []
-    monkeypatch.setattr("wafer_viewer.session.surface.worker_tasks.warm_up", lambda: compiled.append("all"))
+    monkeypatch.setattr(kernel_build, "compile_missing", lambda parts, _: compiled.extend(parts))
+    monkeypatch.setattr(kernel_build, "load_all", list)
     printed = viewer("doctor", "--data", tmp_path)
     assert printed.returncode in (0, 1), printed.stderr
-    assert compiled == ["all"]
+    assert compiled == list(kernel_build.PARTS)
     assert "ok   Kernels: compiled for this processor" in printed.stdout
     assert "SIMULATED, answers" in printed.stdout
     assert all(line[:4] in ("ok  ", "LACK", "    ") for line in printed.stdout.splitlines())
 
 
 def test_the_doctor_checks_the_devices_of_a_rig_and_moves_on_request_only(tmp_path, monkeypatch):
-    monkeypatch.setattr("wafer_viewer.session.surface.worker_tasks.warm_up", list)
+    monkeypatch.setattr(kernel_build, "compile_missing", lambda *_: None)
+    monkeypatch.setattr(kernel_build, "load_all", list)
     rig = ROOT / "assets/rigs/zaber_simulated.toml"
     still = viewer("doctor", "--data", tmp_path, "--rig", rig).stdout
     assert "Controller 'stage' at simulated: SIMULATED, Zaber device 1" in still

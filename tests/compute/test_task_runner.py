@@ -17,7 +17,7 @@ from wafer_viewer.compute.messages import Progressed, WarmUp
 from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner, crew_for
 from wafer_viewer.compute.worker_environment import FORKS
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.session.surface.worker_tasks import WARM_UP
+from wafer_viewer.session.surface.kernel_build import WARM_UP
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +187,7 @@ def test_a_work_is_led_by_the_host_while_single_tasks_go_first(patience_s):
 @pytest.mark.skipif(not FORKS, reason="workers begin with nothing here")
 def test_workers_of_a_session_begin_with_what_was_loaded_once(patience_s):
     loaded = "wafer_viewer.session.surface.stitching_job"
-    warm_up = WarmUp(first=print, beside=print, complete=print, loaded=WARM_UP.loaded)
+    warm_up = WarmUp(compile=print, first=print, complete=print, loaded=WARM_UP.loaded)
     compute = Compute(None, warm_up, lambda event: None, lambda code: None)
     try:
         host = psutil.Process(compute.start().process.pid)

@@ -1,4 +1,4 @@
-"""Which worker compiles what: two share what the first tasks need, all have the rest afterwards."""
+"""Which worker loads what: one what the first tasks need, all the rest afterwards."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from wafer_viewer.compute.compute_host import Host
 from wafer_viewer.compute.messages import ComputeWarm, WarmUp
 from wafer_viewer.compute.worker_environment import FORKS, WORKER_ENVIRONMENT
-from wafer_viewer.session.surface import worker_tasks
+from wafer_viewer.session.surface import kernel_build
 
 
 class Workers:
@@ -36,7 +36,7 @@ class Told(list):
     tell = list.append
 
 
-WARM_UP = WarmUp(first=print, beside=repr, complete=str)
+WARM_UP = WarmUp(compile=repr, first=print, complete=str)
 
 
 def warming(*addresses):
@@ -46,25 +46,18 @@ def warming(*addresses):
     return workers, told
 
 
-def test_a_second_worker_helps_and_fields_begin_when_the_first_is_done():
+def test_fields_begin_when_one_worker_is_warm():
     workers, told = warming("a", "b", "c")
-    assert workers.asked() == [(print, "a"), (repr, "b")]
+    assert workers.asked() == [(print, "a")]
     assert not told
     workers.submitted[0][-1].set_result(None)
     assert told == [ComputeWarm()]
-    assert workers.asked()[2:] == [(str, "b"), (str, "c"), (str, "a")]
-
-
-def test_a_single_worker_compiles_all_by_itself():
-    workers, told = warming("a")
-    workers.submitted[0][-1].set_result(None)
-    assert workers.asked() == [(print, "a"), (str, "a")]
-    assert told == [ComputeWarm()]
+    assert workers.asked()[1:] == [(str, "b"), (str, "c"), (str, "a")]
 
 
 LOADED = f"""
 import os, sys
-import {worker_tasks.WARM_UP.loaded}
+import {kernel_build.WARM_UP.loaded}
 from numba.core.dispatcher import Dispatcher
 
 modules = [module for name, module in sys.modules.items() if name.startswith("wafer_viewer.")]
@@ -76,7 +69,7 @@ print(len(os.listdir("/proc/self/task")), sum(bool(kernel.overloads) for kernel 
 @pytest.mark.slow
 @pytest.mark.skipif(not FORKS, reason="workers begin with nothing here")
 def test_what_workers_are_forks_of_has_the_kernels_and_no_thread_that_they_would_lack():
-    worker_tasks.warm_up_heights()  # what is not compiled is not loaded either
+    kernel_build.compile_surface_kernels()
     environment = os.environ | {name: str(value) for name, value in WORKER_ENVIRONMENT.items()}
     done = subprocess.run([sys.executable, "-c", LOADED], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

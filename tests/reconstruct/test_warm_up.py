@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -48,39 +47,3 @@ def test_a_field_needs_no_kernel_that_was_not_warmed_up(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", SCRIPT, str(tmp_path / "field.npy")], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == []
-
-
-COMPILED = """
-import sys
-from numba.core import event
-from wafer_viewer.reconstruct import field_pipeline
-
-class Compiled(event.Listener):
-    count = 0
-    def on_start(self, found):
-        Compiled.count += 1
-    def on_end(self, found):
-        pass
-
-event.register("numba:compile", Compiled())
-for name in sys.argv[1:]:
-    before = Compiled.count
-    getattr(field_pipeline, name)()
-    print(Compiled.count - before)
-"""
-
-
-def compiled_by(cache: Path, *functions: str) -> list[int]:
-    """Return how many specialisations each of the functions compiles, one after the other in a new process."""
-    environment = {**os.environ, "WAFER_VIEWER_CACHE": str(cache)}
-    command = [sys.executable, "-c", COMPILED, *functions]
-    return list(map(int, subprocess.run(command, env=environment, capture_output=True, check=True).stdout.split()))
-
-
-@pytest.mark.slow
-def test_two_processes_share_the_compilation_and_compile_nothing_more(tmp_path: Path) -> None:
-    (alone,) = compiled_by(tmp_path / "alone", "warm_up")
-    beside, rest = compiled_by(tmp_path / "shared", "warm_up_backwards", "warm_up")
-    assert beside > alone / 3
-    assert beside + rest == alone
-    assert compiled_by(tmp_path / "shared", "warm_up", "warm_up_backwards") == [0, 0]

@@ -38,9 +38,11 @@ from wafer_viewer.cli.arguments import (
 )
 from wafer_viewer.cli.output import (
     audit,
+    compile_for_frames,
     plan_facts,
     print_check,
     print_cluster,
+    print_compilation,
     print_compression,
     print_conformance,
     print_digests,
@@ -121,6 +123,7 @@ def serve(
     return_what_is_freed()
     session = Session(data.expanduser(), config_of(rig), scheduler, browse)
     try:
+        print_compilation(session)
         token = page_token(session.snapshot.data_folder, renew=new_token or new_password)
         serve_page(session, host, port, open_browser=open_browser, token=token, network=network)
     finally:
@@ -170,7 +173,7 @@ def exposure(
     from wafer_viewer.session.planning.job_releases import read_job
 
     job = read_job(plan_file)
-    with _opened(rig) as device, progress("Exposure") as tell:
+    with _opened(rig, for_frames=True) as device, progress("Exposure") as tell:
         found = find_exposure(job, device, fields, tell)
     taken_us = found.bracket_us if bracket and found.bracket else found.single_us
     if write:
@@ -206,7 +209,7 @@ def focus(
 
     place = {"x_um": x_um, "y_um": y_um, "z_um": z_um, "z_range_um": z_range_um, "highest_um": highest_um}
     try:
-        with _opened(rig) as device, progress("Focus") as tell:
+        with _opened(rig, for_frames=True) as device, progress("Focus") as tell:
             found = go_to_focus(device, **place, exposure_us=exposure_us, progress=tell)
     except MotionStopped as stop:
         print(f"{stop} The rig is at rest.")
@@ -261,7 +264,7 @@ def scan(
         print_preflight(checks)
         require_passed(checks, confirmed=yes)
 
-    with _opened(rig) as device, progress("Scan") as tell:
+    with _opened(rig, for_frames=True) as device, progress("Scan") as tell:
         ended = scan_to(out, job, device, tell, ready, warn)
     if ended.error is not None:
         raise RigError(ended.error)
@@ -504,12 +507,14 @@ def _verified(report: Path, key: str, data: Path) -> int:
 
 
 @contextmanager
-def _opened(rig: Path | None) -> Generator[Rig]:
-    """Open the rig and close it at the end."""
+def _opened(rig: Path | None, *, for_frames: bool = False) -> Generator[Rig]:
+    """Open the rig, ready to take frames if these are wanted, and close it at the end."""
     from wafer_viewer.rigs.rig_config import open_rig
 
     device = open_rig(config_of(rig))
     try:
+        if for_frames:
+            compile_for_frames(device)
         yield device
     finally:
         device.close()

@@ -12,7 +12,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.arguments import File, Flag, Text, Um, with_flags
-from wafer_viewer.cli.output import audit, print_json, progress
+from wafer_viewer.cli.output import audit, compile_for_frames, print_json, progress
 from wafer_viewer.model.acquisition.characteristics import (
     FOCUS_RANGE_UM,
     KINDS,
@@ -66,6 +66,7 @@ def _command(kind: CalibrationKind) -> Callable[..., int]:
         site = CalibrationSite(x_um=x_um, y_um=y_um, z_um=z_um, z_range_um=z_range_um, exposure_us=exposure_us)
         device = open_rig(RigConfig() if rig is None else read_config(rig))
         try:
+            compile_for_frames(device)
             with progress(KINDS[kind].title) as tell:
                 result = run_calibration(device, kind, folder, site, tell, **options)
             path = None if by is None else accept_calibration(device, folder, result, by, why)

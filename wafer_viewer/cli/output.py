@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from wafer_viewer.acquire.conformance.check import ConformanceCheck
     from wafer_viewer.acquire.focus_at_place import FocusedPlace
     from wafer_viewer.model.acquisition.conformance import ConformanceReport, ConformanceResult
+    from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.acquisition.exposure import FoundExposure
     from wafer_viewer.model.acquisition.positioners import PositionerState
     from wafer_viewer.model.audit import Action, AuditEntry
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
     from wafer_viewer.session.planning.preflight import PreflightCheck
-    from wafer_viewer.session.state.snapshot import DatasetEntry, SurfaceInfo
+    from wafer_viewer.session.session import Session
+    from wafer_viewer.session.state.snapshot import DatasetEntry, KernelProgress, Snapshot, SurfaceInfo
     from wafer_viewer.store.dataset.compression import CompressionReport
     from wafer_viewer.store.dataset.dataset import CheckReport, Dataset, PassReport
     from wafer_viewer.store.dataset.integrity import Digest, KindReport
@@ -338,6 +340,28 @@ Datasets lie in a folder that all machines share under the same path; the same w
 def warn(sentence: str) -> None:
     """Print a warning on standard error."""
     print(f"wafer-viewer: {' '.join(sentence.split())}", file=sys.stderr, flush=True)
+
+
+def compile_for_frames(rig: Rig) -> None:
+    """Compile the kernels of simulated frames, with lines about it on standard error; a real rig needs none."""
+    if rig.simulated:
+        from wafer_viewer.session.surface.kernel_build import SIMULATION, compile_missing
+
+        compile_missing(SIMULATION, lambda progress: warn(f"{progress.words}."))
+
+
+def print_compilation(session: Session) -> None:
+    """Print the progress of a session's compilation of the kernels, and its end; nothing if they are compiled."""
+    printed: KernelProgress | None = None
+
+    def look(now: Snapshot) -> None:
+        nonlocal printed
+        if now.kernels != printed:
+            printed = now.kernels
+            print("The compilation of the kernels has ended." if printed is None else f"{printed.words}.", flush=True)
+
+    session.subscribe(look)
+    look(session.snapshot)
 
 
 @contextmanager

@@ -48,7 +48,7 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
     """List what this machine has and lacks, and how to fix it; status 1 when something is lacking.
 
     Also connects to each device of the rig, says what answers, and compares the counts of the pulse box with the stage.
-    It compiles the kernels that the installation did not, so that the first surface does not wait for them.
+    It compiles the numerical kernels for this machine, if they are not yet, so that nothing waits for them later.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
@@ -56,10 +56,13 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER, move: bool = False) -> in
         move: Home the stage, move each axis by a mm at most and over its index mark, if it has one, and back.
     """
     from wafer_viewer.session.core.environment_check import check_environment
-    from wafer_viewer.session.surface.worker_tasks import compiling_beside, warm_up
+    from wafer_viewer.session.surface.kernel_build import PARTS, compile_missing, load_all
 
-    with compiling_beside():
-        return print_checks(check_environment(config_of(rig), data.expanduser(), warm_up, move=move))
+    def compile_kernels() -> None:
+        compile_missing(PARTS, lambda progress: warn(f"{progress.words}."))
+        load_all()
+
+    return print_checks(check_environment(config_of(rig), data.expanduser(), compile_kernels, move=move))
 
 
 def bundle(out: OutFile = None, rig: File = None, data: Path = DATA_FOLDER, dataset: File = None) -> None:

@@ -21,8 +21,9 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from itertools import count
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
@@ -50,15 +51,27 @@ class Reply:
 
 
 @contextlib.contextmanager
-def alongside(work: Callable[[], None]) -> Generator[None]:
+def alongside(work: Callable[[], None]) -> Generator[BaseProcess]:
     """Run `work` in a process of its own, which ends with the block at the latest; nobody depends on it."""
-    process = get_context("spawn").Process(target=work, name="wafer-viewer beside", daemon=True)
+    process = get_context("spawn").Process(target=_work_for_parent, args=(work,), name="wafer-viewer beside")
     process.start()
     try:
-        yield
+        yield process
     finally:
         process.terminate()
         process.join()
+
+
+def _work_for_parent(work: Callable[[], None]) -> None:
+    end_with_parent()
+    work()
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it has ended, even if that was killed."""
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()
 
 
 class ChildProcess:

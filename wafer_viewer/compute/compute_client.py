@@ -19,7 +19,7 @@ class Compute:
     """Client that runs tasks in worker processes; imports nothing heavy. Use it from one thread.
 
     scheduler: the address of a cluster that runs already, tls://HOST:PORT. Raises ComputeError for another kind.
-    warm_up: what workers compile before their first tasks.
+    warm_up: what is compiled, and what workers load, before their first tasks.
     """
 
     def __init__(
@@ -60,6 +60,8 @@ class Compute:
 
 def _host(pipe: Connection, scheduler: str | None, warm_up: WarmUp) -> None:
     run_in_background(NICENESS)
+    if scheduler is None:
+        warm_up.compile()
     loaded = warm_up.loaded if FORKS and scheduler is None else None
     if loaded is not None:
         start_fork_server(loaded)  # it loads while this process imports dask

@@ -66,7 +66,7 @@ class Host:
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
     def work(self) -> None:
-        """Handle requests until the pipe ends; kernels are compiled meanwhile."""
+        """Handle requests until the pipe ends; kernels are loaded meanwhile."""
         self._warm_up(list(self._client.scheduler_info(n_workers=-1)["workers"]))
         threading.Thread(target=self._count, name="count workers", daemon=True).start()
         try:
@@ -132,10 +132,7 @@ class Host:
             self._end.refuse(request, _sentence(request.command, done))
 
     def _warm_up(self, addresses: list[str]) -> None:
-        """Compile what the first tasks need on one worker, which is enough to begin, helped by a second one.
-
-        Then all load what was compiled, and compile the rest.
-        """
+        """Load what the first tasks need on one worker, which is enough to begin, then everything on all."""
         warm_up, first, others = self._warm_up_with, addresses[0], addresses[1:]
 
         def warmed(_: Future[Any]) -> None:
@@ -143,7 +140,6 @@ class Host:
             self._warming += [self._warm_up_one(warm_up.complete, address) for address in (*others, first)]
 
         self._warming = [self._warm_up_one(warm_up.first, first)]
-        self._warming += [self._warm_up_one(warm_up.beside, address) for address in others[:1]]
         self._warming[0].add_done_callback(warmed)
 
     def _warm_up_one(self, warm_up: Callable[[], None], address: str) -> Future[Any]:

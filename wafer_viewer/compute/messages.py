@@ -50,22 +50,22 @@ class ComputeUp:
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """Functions by which workers compile kernels, or load what others have compiled.
+    """Functions by which kernels are compiled and loaded.
 
-    first: all that the first tasks need; beside: a part of it and more, on a second worker meanwhile; complete: all.
-    loaded: module whose import loads what is compiled already, in a process that workers can be forks of; None for
-    workers that begin with nothing.
+    compile: compiles what the first tasks need, or waits for who does, before local workers start; first: loads, on a
+    worker, what the first tasks need; complete: loads all. loaded: module whose import loads them in a process that
+    workers can be forks of; None for workers that begin with nothing.
     """
 
+    compile: Callable[[], None]
     first: Callable[[], None]
-    beside: Callable[[], None]
     complete: Callable[[], None]
     loaded: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ComputeWarm:
-    """The kernels of the first tasks are compiled, so that fields can be reconstructed without delay."""
+    """The kernels of the first tasks are loaded, so that fields can be reconstructed without delay."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,137 +1,80 @@
-"""Compilation of kernels by numba, location of their cache, and the types of their arguments.
+"""Compilation of kernels by numba, their cache, and the types of their arguments.
 
-Compiled code is loaded from the installed package, which holds what was compiled when its wheel was built, and
-otherwise from the user's cache folder (``WAFER_VIEWER_CACHE`` overrides it), where every process writes what it had to
-compile. numba recognises a change by the path and the time of the file of the outermost kernel; but our kernels inline
-each other across files, and an installation changes paths and times. Therefore every state of the sources, of numba,
-of Python and of the processor has its own folder, and nothing else is compared.
+Every process loads what is compiled already, and writes what it had to compile; `kernel_cache` says where.
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import math
-import os
-import sys
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
-import llvmlite.binding as llvm
 import numba
 import numpy as np
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numpy.typing import NDArray
 
-INSTALLED = Path(__file__).parent / "compiled"
-"""Kernels that were compiled for the wheel: a folder for each state, as in the user's cache folder."""
-KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
-_UNCOUNTED: dict[str, Any] = {"_nrt": False}  # numba's runtime with reference counts, an option missing from its stubs
-_LEAN: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **_UNCOUNTED}
+from wafer_viewer.numerics.kernel_cache import cache_folder, is_writable, module_folder
+
+_COUNTED: dict[str, Any] = {"no_cfunc_wrapper": True}
+_UNCOUNTED: dict[str, Any] = {"_nrt": False, **_COUNTED}  # numba's runtime with reference counts, missing in its stubs
+_LEAN: dict[str, Any] = {"error_model": "numpy", **_UNCOUNTED}
 _PART: dict[str, Any] = {"no_cpython_wrapper": True, **_LEAN}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def cache_folder() -> Path:
-    """Return the folder of compiled kernels, under ``WAFER_VIEWER_CACHE`` or ``~/.cache/wafer-viewer``."""
-    home = os.environ.get("WAFER_VIEWER_CACHE")
-    base = Path(home) if home else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wafer-viewer"
-    return base / "kernels" / kernel_state()
+class KernelLocator:
+    """Location of the compiled code of a function, as numba asks its cache locators for it."""
 
-
-@functools.cache
-def kernel_state() -> str:
-    """Return a name that changes with all that compiled code depends on."""
-    target = numba.__version__, sys.implementation.cache_tag, llvm.get_host_cpu_name(), _cpu_features()
-    return f"{source_fingerprint()}-{zlib.crc32(repr(target).encode()):08x}"
-
-
-def source_fingerprint() -> str:
-    """Return eight hex digits that change with any source file of a kernel."""
-    package = Path(__file__).parent.parent
-    sources = (f for room in KERNEL_ROOMS for f in sorted((package / room).rglob("*.py")))
-    return f"{functools.reduce(lambda crc, f: zlib.crc32(f.read_bytes(), crc), sources, 0):08x}"
-
-
-def _cpu_features() -> str:
-    try:
-        return str(llvm.get_host_cpu_features().flatten())
-    except RuntimeError:  # the processor does not tell
-        return ""
-
-
-def is_anything_compiled() -> bool:
-    """Return whether any kernel is compiled for this state of sources, numba, Python and processor."""
-    return any(any(folder.rglob("*.nbi")) for folder in (INSTALLED / kernel_state(), cache_folder()))
-
-
-class _Location:
-    """Location of the compiled code of a function for numba, and the state that it must be of."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.module, self._line = function.__module__, function.__code__.co_firstlineno
+    def __init__(self, function: Callable[..., Any], folder: Path) -> None:
+        self._folder, self._line = folder, function.__code__.co_firstlineno
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Location:
-        return cls(py_func)
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelLocator:
+        """Return the locator of a function in a file."""
+        return cls(py_func, module_folder(py_func.__module__, Path(py_file)))
 
     def get_cache_path(self) -> str:
-        return str(cache_folder() / self.module)
+        """Return the folder."""
+        return str(self._folder)
 
     def ensure_cache_path(self) -> None:
-        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+        """Make the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> str:
-        return kernel_state()
+        """Return what compiled code must have been made of, which is the name of the folder."""
+        return self._folder.name
 
     def get_disambiguator(self) -> str:
+        """Return what tells functions of one name in a module apart."""
         return str(self._line)
 
 
-class _KernelFiles(CompileResultCacheImpl):
-    _locator_classes = (_Location,)
-
-
-class _KernelCache(FunctionCache):
-    """Compiled code of one function: that of the installed package, then that of the user's cache folder."""
-
-    _impl_class = _KernelFiles
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        folder = str(INSTALLED / kernel_state() / function.__module__)
-        self._installed = IndexDataCacheFile(folder, self._impl.filename_base, kernel_state())
-
-    def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        key = self._index_key(sig, target_context.codegen())
-        for files in (self._installed, self._cache_file):
-            with contextlib.suppress(OSError):  # a folder that may not be read
-                if (data := files.load(key)) is not None:
-                    return self._impl.rebuild(target_context, data)
-        return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        with contextlib.suppress(OSError):  # a full disk, a folder that may not be written: compiled anew next time
-            super().save_overload(sig, data)
+_CONFIG: Any = cast(Any, numba).config  # missing in its stubs
+_LOCATOR = f"{__name__}.{KernelLocator.__name__}"
 
 
 def _cached(function: F, **options: Any) -> F:
-    """Compile a function without the GIL, or load its compiled code."""
-    dispatcher: Any = numba.njit(nogil=True, **options)(function)
-    dispatcher._cache = _KernelCache(function)  # as `cache=True` does with a cache of numba's own
-    return cast(F, dispatcher)
+    """Compile a function without the GIL, or load its compiled code.
+
+    Where the folder cannot be written each process compiles it anew: numba would raise what prevents it to keep code.
+    """
+    others, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, _LOCATOR
+    try:
+        return cast(F, numba.njit(nogil=True, cache=is_writable(cache_folder()), **options)(function))
+    finally:
+        _CONFIG.CACHE_LOCATOR_CLASSES = others
 
 
 def kernel(function: F) -> F:
     """Compile a module-level function once per machine; it runs without the GIL."""
-    return _cached(function)
+    return _cached(function, **_COUNTED)
 
 
 def fast_kernel(function: F) -> F:
     """Compile a `kernel` with reordered float arithmetic; not for code that tests for NaN."""
-    return _cached(function, fastmath=True)
+    return _cached(function, fastmath=True, **_COUNTED)
 
 
 def bare_kernel(function: F) -> F:

@@ -396,11 +396,13 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
         warm_up_edges(prepare(stack), window=9)
 
 
-def warm_up_backwards() -> None:
-    """Compile or load the kernels of the stages after the peak search, the last stage first.
+def warm_up_search() -> None:
+    """Compile or load the kernels of the first stages, up to the peak search."""
+    search_peaks(prepare_field(_tiny_stack(np.uint8)), threads=1)
 
-    For a process beside one that runs `warm_up`: the two meet halfway, because each loads what the other has compiled.
-    """
+
+def warm_up_stages() -> None:
+    """Compile or load the kernels of the stages after the peak search; they need no peaks for that."""
     frames = prepare(_tiny_stack(np.uint8))
     z_um = np.random.default_rng(1).normal(0, 0.1, frames.shape).astype(np.float32)
     z_um[::7, ::5], z_um[::9, ::11] = 5.0, np.nan

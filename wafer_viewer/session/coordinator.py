@@ -53,6 +53,7 @@ from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.session.state.snapshot import FieldState, RigStatus, Snapshot
 from wafer_viewer.session.surface.comparison_commands import ComparisonController
 from wafer_viewer.session.surface.focus_evidence import focus_curve
+from wafer_viewer.session.surface.kernel_build import KernelBuild
 from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ class SessionCoordinator:
         self.plan_editor = PlanEditor(command_queue, self._folder)
         self.library = Library(command_queue, self._folder)
         self.reconstruction = Reconstruction(command_queue, self.notices, self.library, scheduler, self._reconstructed)
+        self.kernels = KernelBuild(command_queue)
         self.background = BackgroundWork(command_queue, self.notices, self.reconstruction.compute)
         self.compression = FrameCompression(self.library, self.background, self.notices)
         self.frame_check = FrameCheck(command_queue, self.library, self.background, self.notices)
@@ -116,6 +118,7 @@ class SessionCoordinator:
 
         The workers start later, so that they do not delay the first page.
         """
+        self.kernels.start()
         self.rig.start()
         self.defects.watch()
         self.command_queue.subscribe(
@@ -137,6 +140,7 @@ class SessionCoordinator:
     def close(self) -> None:
         """Bring the rig to rest and end all processes."""
         self.command_queue.close()
+        self.kernels.close()
         self.reopening.close(self.command_queue.snapshot, self.library.result_name)
         self.judge.close()
         self.gauge.close()

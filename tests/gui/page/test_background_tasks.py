@@ -11,7 +11,7 @@ from wafer_viewer.gui.page.panels import job_list, state_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.core.background_work import Notifications, seconds_left
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.state.snapshot import Snapshot, Work
+from wafer_viewer.session.state.snapshot import KernelProgress, Snapshot, Work
 
 READY = fake.planned()
 STARTING = dataclasses.replace(READY, compute_ready=False)
@@ -35,6 +35,16 @@ def test_a_job_says_how_it_stands(changes, said):
 def test_nothing_is_at_work_before_there_are_workers():
     assert state_of(WORK, STARTING) == "queued: waiting for the workers"
     assert state_of(dataclasses.replace(WORK, fraction=0.1), STARTING) == "10\u202f%"
+
+
+def test_compilation_of_the_kernels_is_shown_with_its_progress():
+    compiling = dataclasses.replace(STARTING, kernels=KernelProgress(3, 11, "heights"))
+    text = job_list(compiling, View())
+    assert "Compiling the numerical kernels for this machine, once" in text
+    assert "3 of 11" in text
+    assert "data-pick" not in text
+    assert state_of(WORK, compiling) == "queued: waiting for the numerical kernels"
+    assert "Compiling" not in job_list(READY, View())
 
 
 def test_a_name_from_a_file_is_harmless_and_a_job_that_is_being_stopped_has_no_cross():

@@ -12,7 +12,7 @@ from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, set_prop
 from wafer_viewer.gui.widgets.style import PROFILE_PX
-from wafer_viewer.session.state.snapshot import Snapshot, Work
+from wafer_viewer.session.state.snapshot import COMPILING, KernelProgress, Snapshot, Work
 
 FIRST_WIDTH_PX = 892
 """Initial width, until the browser reports the width of its scene."""
@@ -91,18 +91,26 @@ HINT_S = 3.0
 
 def job_list(snapshot: Snapshot, view: View) -> Markup:
     """Return the running and queued jobs; finished ones are not listed, failures appear among the notes."""
-    if not snapshot.works:
+    compiling = _compilation(snapshot.kernels) if snapshot.kernels is not None else Markup()
+    if not snapshot.works and not compiling:
         idle = html.empty("Reconstruction and stitching", "will be shown here.")
         return html.head("Jobs") + idle if view.step == "acquire" else Markup()
     jobs = Markup("").join(_job(work, snapshot) for work in snapshot.works)
-    return html.head("Jobs", str(len(snapshot.works))) + jobs
+    return html.head("Jobs", str(len(snapshot.works) + bool(compiling))) + compiling + jobs
+
+
+def _compilation(progress: KernelProgress) -> Markup:
+    """Return the compilation of the kernels as a job, which nobody needs to cancel."""
+    return Markup('<div class="wv-job"><div><b title="{}">{}</b><span>{} of {}</span></div>{}</div>').format(
+        progress.words, COMPILING, progress.n_done, progress.n_parts, html.bar(progress.n_done / progress.n_parts)
+    )
 
 
 def state_of(work: Work, snapshot: Snapshot) -> str:
     """Describe the state of a job."""
     if work.fraction is None:
         if not snapshot.compute_ready:
-            return "queued: waiting for the workers"
+            return f"queued: waiting for the {'workers' if snapshot.kernels is None else 'numerical kernels'}"
         return f"queued: waiting for {work.waits_for}" if work.waits_for else "running"
     left_s = work.seconds_left
     remaining = f"{duration(left_s)} left · " if left_s is not None and left_s >= HINT_S else ""

@@ -48,6 +48,7 @@ from wafer_viewer.session.acquisition.rig_messages import (
 )
 from wafer_viewer.session.acquisition.scan_run import REPORT_EVERY_S, Steering, run_scan_job, writer_of
 from wafer_viewer.session.planning.guided_tour import tour_of
+from wafer_viewer.session.surface.kernel_build import SIMULATION, compile_parts
 
 
 def run_rig(pipe: Connection, config: RigConfig) -> None:
@@ -61,6 +62,8 @@ def run_rig(pipe: Connection, config: RigConfig) -> None:
         return
     try:
         end.tell(_introduce(rig, config))
+        if rig.simulated:
+            compile_parts(SIMULATION)
         end.tell(OverviewReady(rig.overview()))
         RigExecutor(rig, end).work()
     finally:

@@ -91,7 +91,7 @@ def _disk(folder: Path) -> EnvironmentCheck:
 
 
 def _cache() -> EnvironmentCheck:
-    from wafer_viewer.numerics.jit import cache_folder
+    from wafer_viewer.numerics.kernel_cache import cache_folder
 
     folder = cache_folder()
     try:

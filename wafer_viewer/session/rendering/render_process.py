@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import multiprocessing
-import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from wafer_viewer.compute.child_process import run_in_background
+from wafer_viewer.compute.child_process import end_with_parent, run_in_background
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.comparison import ComparisonFace
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -125,9 +124,7 @@ def _new_pool() -> ProcessPoolExecutor:
 def _settle_in() -> None:
     """Lower the priority below the scan's, and end with the viewer even if that is killed."""
     run_in_background(NICENESS)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()
+    end_with_parent()
 
 
 def _warm_up() -> None:

@@ -440,6 +440,23 @@ class OpenDataset:
 
 
 @dataclass(frozen=True, slots=True)
+class KernelProgress:
+    """Compilation of the numerical kernels: parts that are done, of how many, and the part that comes next."""
+
+    n_done: int
+    n_parts: int
+    part: str
+
+    @property
+    def words(self) -> str:
+        """One line for people."""
+        return f"{COMPILING}: {self.n_done} of {self.n_parts}, {self.part}"
+
+
+COMPILING = "Compiling the numerical kernels for this machine, once"
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """State that all browsers share."""
 
@@ -460,6 +477,8 @@ class Snapshot:
     findings_redo: bool = False
     operating: Operating = Operating()
     compute_ready: bool = False
+    kernels: KernelProgress | None = None
+    """Compilation in progress; None if there is nothing to compile."""
     control: ControlState = ControlState()
     notebook: NotebookState = NotebookState()
     comparisons: tuple[Compared, ...] = ()

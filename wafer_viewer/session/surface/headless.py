@@ -20,8 +20,9 @@ from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.core.dataset_library import ENDING, summarise, today
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 from wafer_viewer.session.surface.focus_evidence import focus_curve
+from wafer_viewer.session.surface.kernel_build import HEIGHTS, STITCHING, KernelPart, compile_missing
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
-from wafer_viewer.session.surface.worker_tasks import compiling_beside, reconstruct_field
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.stack_import import open_stack
@@ -82,16 +83,16 @@ def surface_of(
     from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
-    with compiling_beside():  # while the files are read, too
-        stack = open_stack(
-            files,
-            z_step_um,
-            pixel_um,
-            progress=lambda share: tell(READ_SHARE * share),
-            numerical_aperture=numerical_aperture,
-            wavelength_um=wavelength_um,
-        )
-        surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
+    stack = open_stack(
+        files,
+        z_step_um,
+        pixel_um,
+        progress=lambda share: tell(READ_SHARE * share),
+        numerical_aperture=numerical_aperture,
+        wavelength_um=wavelength_um,
+    )
+    _compile(HEIGHTS, warn)
+    surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
     return surface, summarise(surface, 1, result, recipe)
 
 
@@ -113,7 +114,8 @@ def make_surface(
     lock = Lock.take(data.path)
     try:
         todo = _fields_to_do(data, recipe, result, again)
-        with compiling_beside(), hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
+        _compile((*HEIGHTS, *STITCHING), warn)
+        with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
             crew.require_sight(data.path)
             share = 0 if not todo else 1 - STITCH_SHARE
             _reconstruct(data, result, recipe, todo, crew, partial(_part, tell, 0, share), warn)
@@ -121,6 +123,10 @@ def make_surface(
             return bring_up_to_date(data.path, result, recipe, crew=crew, progress=drawn)
     finally:
         lock.release()
+
+
+def _compile(parts: Sequence[KernelPart], say: Warn) -> None:
+    compile_missing(parts, lambda progress: say(f"{progress.words}."))
 
 
 def write_poses_of(path: Path, result: str, out: Path) -> None:

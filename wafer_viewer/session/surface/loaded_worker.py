@@ -1,6 +1,6 @@
 """Load at import what a worker of a session needs in memory, once for all workers that are forked afterwards.
 
-Loading starts no thread, which a fork would lack. What is not compiled yet is left to the workers, which share it.
+Loading starts no thread, which a fork would lack.
 """
 
 from __future__ import annotations
@@ -8,11 +8,9 @@ from __future__ import annotations
 from contextlib import suppress
 from importlib import import_module
 
-from wafer_viewer.numerics.jit import is_anything_compiled
-from wafer_viewer.session.surface.worker_tasks import load_kernels
+from wafer_viewer.session.surface.kernel_build import load_kernels
 
 for module in ("distributed.worker", "zarr", "wafer_viewer.session.surface.stitching_job"):
     import_module(module)
-if is_anything_compiled():
-    with suppress(Exception):  # the task that needs it says what is wrong
-        load_kernels()
+with suppress(Exception):  # the task that needs it says what is wrong
+    load_kernels()

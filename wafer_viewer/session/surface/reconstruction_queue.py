@@ -21,8 +21,9 @@ from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.state.snapshot import FieldState, SurfaceInfo
+from wafer_viewer.session.surface.kernel_build import WARM_UP
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describe_mosaic
-from wafer_viewer.session.surface.worker_tasks import WARM_UP, reconstruct_field, reconstruct_live
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live
 
 
 def no_heights(number: int) -> str:

@@ -5,24 +5,18 @@ Pixels are passed through the dataset, never through the scheduler. The command 
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Generator, Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.compute.child_process import alongside
-from wafer_viewer.compute.messages import WarmUp
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Shot
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Recipe
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.surface.height_map import HeightMap
     from wafer_viewer.store.dataset.compression import CompressionReport
     from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -181,110 +175,3 @@ def export_fields(
     from wafer_viewer.session.surface.field_export import write_fields
 
     return write_fields(dataset, out, result, progress, should_stop)
-
-
-def warm_up() -> None:
-    """Compile or load every kernel, by making and stitching a surface of a few pixels."""
-    from wafer_viewer.reconstruct.field_pipeline import reconstruct
-
-    warm_up_heights()
-    _stitch([reconstruct(_tiny_stack(x_um), threads=1) for x_um in _TINY_X_UM])
-
-
-def warm_up_heights() -> None:
-    """Compile or load the kernels that a field needs."""
-    from wafer_viewer.reconstruct.field_pipeline import warm_up as compile_kernels
-
-    compile_kernels()
-
-
-def warm_up_beside() -> None:
-    """Compile or load the kernels of a field from the last stage to the first, then those of stitching.
-
-    For a process beside one that runs `warm_up_heights`: the two meet halfway.
-    """
-    from wafer_viewer.reconstruct.field_pipeline import warm_up_backwards
-
-    warm_up_backwards()
-    warm_up_stitching()
-
-
-def warm_up_stitching() -> None:
-    """Compile or load the kernels that a mosaic needs."""
-    _stitch([_tiny_surface(_tiny_stack(x_um)) for x_um in _TINY_X_UM])
-
-
-def load_kernels() -> None:
-    """Load the kernels of a field and of a mosaic without starting a thread; those that are missing are compiled."""
-    from wafer_viewer.reconstruct.field_pipeline import reconstruct
-    from wafer_viewer.reconstruct.stitching import stitch
-
-    warm_up_heights()
-    stitch([reconstruct(_tiny_stack(x_um), threads=1) for x_um in _TINY_X_UM])
-
-
-WARM_UP = WarmUp(
-    first=warm_up_heights,
-    beside=warm_up_beside,
-    complete=warm_up,
-    loaded="wafer_viewer.session.surface.loaded_worker",
-)
-"""What the workers of a session compile before a scan needs it."""
-
-
-@contextlib.contextmanager
-def compiling_beside() -> Generator[None]:
-    """Let another process compile a part of the kernels meanwhile, if this machine has none of them yet."""
-    from wafer_viewer.numerics.jit import is_anything_compiled
-
-    with contextlib.nullcontext() if is_anything_compiled() else alongside(warm_up_beside):
-        yield
-
-
-_TINY_X_UM = 0.0, 40.0
-"""Positions of two tiny fields that overlap."""
-
-
-def _stitch(heights: Sequence[HeightMap]) -> None:
-    """Stitch and write height maps, to nowhere; they are too small for coarser levels, which are computed apart."""
-    from wafer_viewer.reconstruct.blending.stitched_mosaic import coarser_levels
-    from wafer_viewer.reconstruct.stitching import stitch
-    from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
-
-    with TemporaryDirectory() as folder:
-        write_mosaic(Path(folder) / "mosaic.zarr", stitch(heights))
-    for _ in islice(coarser_levels(heights[0]), 3):
-        pass
-
-
-def _tiny_surface(stack: FieldStack) -> HeightMap:
-    """Return a level surface with the picture of the middle frame."""
-    import numpy as np
-
-    from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-
-    grey = np.ascontiguousarray(stack.images[len(stack.images) // 2])
-    z_um = np.zeros(grey.shape, np.float32)
-    nothing, place = np.zeros(grey.shape, np.uint8), (stack.pixel_um, stack.x0_um, stack.y0_um)
-    return HeightMap(z_um, z_um, np.ones_like(z_um), grey, nothing, *place, Provenance(z_step_um=1.0))
-
-
-def _tiny_stack(x_um: float) -> FieldStack:
-    """Return a few frames of a sample of noise, sharpest in the middle.
-
-    The second field is a pixel and a half off its place, so that its alignment takes several steps.
-    """
-    import numpy as np
-
-    noise = np.random.default_rng(1)
-    sample, first = noise.normal(0, 1, (64, 66 + round(_TINY_X_UM[-1]))), round(x_um + (x_um > 0))
-    seen = (sample[:, first : first + 64] + sample[:, first + (x_um > 0) : first + 64 + (x_um > 0)]) / 2
-    frames = (128 + (5 + 40 * np.exp(-((k - 3) ** 2))) * seen + noise.normal(0, 1, seen.shape) for k in range(8))
-    images = np.stack([frame.clip(0, 255) for frame in frames])
-    return FieldStack(
-        field=Field(number=1, row=0, col=0, x_um=x_um, y_um=0.0, z_start_um=0.0),
-        images=images.astype(np.uint8),
-        z_um=np.arange(8.0),
-        present=np.ones(8, bool),
-        pixel_um=1.0,
-    )
