@@ -37,6 +37,7 @@ def by_the_equation(image: NDArray, measure: str, window: int) -> NDArray:
     return total[margin:-margin, margin:-margin]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", PAPER_MEASURES)
 @settings(max_examples=examples(12))
 @given(half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), seed=st.integers(0, 99))

@@ -60,6 +60,7 @@ def test_a_tent_is_found_exactly_at_any_spacing(at: float, below: float, above: 
     assert place(_by("tent"), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(100))
 @given(at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), bend=st.floats(0.1, 3))
 def test_a_parabola_is_found_exactly_at_any_spacing(at: float, below: float, above: float, bend: float) -> None:

@@ -37,6 +37,7 @@ def by_definition(images: NDArray) -> NDArray:
     return np.max(pairs, axis=0)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(20))
 @given(
     rows=st.integers(1, 30),

@@ -115,6 +115,7 @@ def test_a_dataset_that_is_gone_is_one_sentence(sections, folder, tmp_path):
         sections.section(SectionRequest(0, LINE, of=other(tmp_path, "gone")))
 
 
+@pytest.mark.slow
 def test_the_files_are_those_of_their_endings(sections):
     found = [sections.section(SectionRequest(0, LINE))]
     assert sections.file(found, ".csv").startswith(b"# Wafer Viewer")

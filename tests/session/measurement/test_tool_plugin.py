@@ -70,6 +70,7 @@ def surface(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_tables_page_jobs_and_files_have_it(package, surface):
     done = run_with(package, "-c", EVERYWHERE.format(surface=str(surface)))
     reported = json.loads(done.stdout)
@@ -89,6 +90,7 @@ def test_tables_page_jobs_and_files_have_it(package, surface):
     assert float(height["value"]) == pytest.approx(3.0, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_its_command_measures_and_explains_its_flags(package, surface):
     flags = ("-m", "wafer_viewer", "measure", "median-height", str(surface), "--region", "-20", "-20", "20", "20")
     found = json.loads(run_with(package, *flags, "--over-um", "1").stdout)
