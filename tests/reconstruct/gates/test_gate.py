@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.support.campaigns import drawn_after
 from tests.truth.unseen import drawn_scene
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.focus_measures import focus_measures
@@ -95,7 +96,8 @@ def test_noise_makes_no_second_top(make_stack: MakeStack) -> None:
     assert np.mean(peaks.dip > 3 * MAX_DIP_PER_POWER) < 0.01
 
 
-@pytest.mark.parametrize("seed", [461, 5_000_163])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", drawn_after(1, [461, 5_000_163]))
 def test_grains_that_shine_have_few_false_heights(seed: int) -> None:
     scene = drawn_scene(seed)
     z_um = reconstruct(scene.stack).to_measure()

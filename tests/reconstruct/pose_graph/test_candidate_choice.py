@@ -51,6 +51,7 @@ def error_px(fields: Fields, true: Numbers, choice: Choice) -> Numbers:
     return off[choice.to_measure] / PIXEL_UM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch_px", [200.0, 60.0, STAGE_PX / 0.14])
 @pytest.mark.parametrize("size", [(4, 4), (8, 9)])
 def test_the_right_period_is_chosen_where_the_stage_is_good_enough(size, pitch_px):
@@ -170,6 +171,7 @@ def test_neighbours_that_hold_each_other_do_not_lie_a_period_off_together(seed):
     assert np.abs(error_px(told, true, choice)).max() < 1.0
 
 
+@pytest.mark.slow
 def test_a_few_patterns_among_very_many_fields_are_chosen_like_those_of_few_fields():
     """From 2000 fields on, they are moved together by an iterative solver."""
     fields, random = grid(60, 50), np.random.default_rng(8)

@@ -112,6 +112,7 @@ def test_one_displaced_frame_is_found(wide_stack: FieldStack) -> None:
     assert np.abs(off - np.median(off)).max() < 0.2
 
 
+@pytest.mark.slow
 def test_what_not_every_frame_shows_is_unmeasured(wide_stack: FieldStack) -> None:
     height = reconstruct(moved(wide_stack, 20 * EVENLY, STILL))
     assert (height.origin[[0, -1]] == Origin.TOO_FEW_FRAMES).all()

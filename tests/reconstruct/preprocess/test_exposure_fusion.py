@@ -52,6 +52,7 @@ def full(frames: Frames) -> NDArray:
     return block
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [2, 4, 8])
 @pytest.mark.parametrize("black", [0.0, 6.0])
 def test_the_fused_picture_is_linear_in_light(
@@ -96,6 +97,7 @@ def test_the_order_of_the_exposures_does_not_matter(plane_stack: FieldStack, lig
     np.testing.assert_array_equal(full(prepare(up)), full(prepare(down)))
 
 
+@pytest.mark.slow
 def test_sixteen_bits_and_three_exposures_are_fused_too(plane_stack: FieldStack, light: NDArray) -> None:
     frames = prepare(bracketed(plane_stack, light, 1, 2, 4, white=4095))
     there = (light > 0.1) & (light < 0.9)
@@ -103,6 +105,7 @@ def test_sixteen_bits_and_three_exposures_are_fused_too(plane_stack: FieldStack,
     assert "x2, x4 as bright" in frames.notes[0]
 
 
+@pytest.mark.slow
 def test_a_stack_of_brackets_measures_more_than_either_exposure(
     plane_stack: FieldStack, plane_um: NDArray, light: NDArray
 ) -> None:

@@ -28,6 +28,7 @@ def found_in(stack: FieldStack) -> FrameJitter:
     return frame_jitter(prepare(stack), stack.depth_of_field_um)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter_dof", [0.03, 0.06])
 def test_level_faces_show_the_jitter_of_their_frames(jitter_dof: float):
     found = [found_in(two_faces(dataclasses.replace(STILL, jitter_dof=jitter_dof), seed)) for seed in range(8)]

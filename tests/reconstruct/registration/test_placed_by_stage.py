@@ -62,6 +62,7 @@ def stitched(samples: list[Sample], n: int, recipe: Recipe = Recipe()) -> tuple[
     return mosaic.poses, mosaic.provenance.notes
 
 
+@pytest.mark.slow
 def test_dies_finer_than_the_search_are_placed_by_all_overlaps_together():
     poses, notes = stitched([dies(30, wafer(4))], 4)
     assert poses.shifts.believed.all()
@@ -78,6 +79,7 @@ def test_dies_finer_than_the_search_are_placed_by_all_overlaps_together():
     assert "each by more than 99.9 %" in note or "the least sure by" in note
 
 
+@pytest.mark.slow
 def test_dies_finer_than_the_stage_are_reported_to_lie_where_the_stage_says():
     poses, notes = stitched([dies(10, wafer(4))], 4)
     assert not poses.shifts.believed.any()

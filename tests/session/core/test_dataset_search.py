@@ -37,6 +37,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_verdict_on_disk_is_found_and_a_damaged_one_is_none(folder: Path) -> None:
     (found,) = [entry for entry in datasets_in(folder) if entry.name.startswith("judged")]
     assert found.verdict

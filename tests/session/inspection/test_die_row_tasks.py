@@ -73,6 +73,7 @@ def test_the_number_of_workers_makes_no_difference(made, alone):
         assert msgspec.to_builtins(by(made, crew)) == msgspec.to_builtins(alone)
 
 
+@pytest.mark.slow
 def test_what_rows_are_compared_with_goes_by_a_file_that_is_gone_afterwards(made):
     crew = Elsewhere()
     by(made, crew)

@@ -51,6 +51,7 @@ def sign_in(session: Session, name: str, password: str) -> None:
     session.control.sign_in("page", name, password).result(PATIENCE_S)
 
 
+@pytest.mark.slow
 def test_the_form_of_a_new_plan_names_who_is_signed_in_and_keeps_what_is_typed(session: Session):
     assert session.snapshot.draft.job is None
     assert form_of_draft(session.snapshot).operator == ""
@@ -72,6 +73,7 @@ def test_the_form_of_a_new_plan_names_who_is_signed_in_and_keeps_what_is_typed(s
     assert operator_of(session) == "Ann", "a plan that begins with the stage has no form before"
 
 
+@pytest.mark.slow
 def test_a_released_job_names_who_is_signed_in_and_keeps_what_is_typed(session: Session, released: Path):
     sign_in(session, "Olga", OLGA)
     session.load_plan(released).result(PATIENCE_S)

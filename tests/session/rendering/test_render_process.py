@@ -96,6 +96,7 @@ def test_an_error_reaches_each_of_those_who_wait(painter: Painter) -> None:
             asked.result(30)
 
 
+@pytest.mark.slow
 def test_after_its_death_it_is_started_anew(painter: Painter) -> None:
     before = painter.paint(requested(3)).result(30)
     with pytest.raises(BrokenProcessPool):
@@ -103,6 +104,7 @@ def test_after_its_death_it_is_started_anew(painter: Painter) -> None:
     assert painter.paint(requested(5)).result(30) != before
 
 
+@pytest.mark.slow
 def test_the_page_draws_without_loading_what_is_heavy() -> None:
     heavy = "{'scipy', 'numba', 'zarr', 'open3d', 'distributed'}"
     modules = "wafer_viewer.gui.scenes.scene_view, wafer_viewer.session.rendering.render_process"

@@ -52,6 +52,7 @@ def test_a_difference_is_a_result_with_a_mosaic_of_its_own(pair, stored):
     assert off.provenance.notes[0] == "after minus before."
 
 
+@pytest.mark.slow
 def test_every_face_of_a_comparison_lies_on_the_lattice_of_the_first(pair, stored):
     first, second, difference = (
         comparison_view(pair[0], NAME, f)

@@ -90,6 +90,7 @@ def test_check_sees_a_flipped_bit_in_every_file(dataset):
         assert not unseen
 
 
+@pytest.mark.slow
 def test_check_sees_a_flipped_bit_in_every_file_of_frames(dataset):
     names = [name for name in files_of(dataset) if name.startswith("frames/")]
     assert len(names) == 2

@@ -33,6 +33,7 @@ def dataset(tmp_path, made):
     return make_dataset(tmp_path / "grid.wafer", made)
 
 
+@pytest.mark.slow
 def test_a_mosaic_from_nothing_shows_every_field_where_it_truly_lies(dataset, made):
     stored = add_surfaces(dataset, made, range(len(made.fields)))
     reported: list[float] = []
@@ -55,6 +56,7 @@ def test_a_mosaic_from_nothing_shows_every_field_where_it_truly_lies(dataset, ma
     assert _scatter_um(mosaic, made) < 0.75 * _scatter_um(stored.mosaic().window(), made)
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_makes_no_difference(dataset, made, tmp_path):
     stored = add_surfaces(dataset, made, range(6))
     bring_up_to_date(dataset, RESULT, REGISTERED, crew=LocalRunner(1))
@@ -111,6 +113,7 @@ def test_a_field_made_again_is_shown_as_it_is_now(dataset, made):
     assert poses.z_um[0] - np.median(poses.z_um[1:]) == pytest.approx(50, abs=8)
 
 
+@pytest.mark.slow
 def test_two_runs_on_the_same_surfaces_leave_the_same_bytes(made, tmp_path):
     results = []
     for folder in ("one", "other"):
@@ -154,6 +157,7 @@ def _files(folder):
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.slow
 def test_a_mosaic_of_an_earlier_version_is_drawn_anew_when_a_field_changes(dataset, made):
     stored = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)
@@ -168,6 +172,7 @@ def test_a_mosaic_of_an_earlier_version_is_drawn_anew_when_a_field_changes(datas
     np.testing.assert_array_equal(stored.poses().x_um[:4], before.x_um)
 
 
+@pytest.mark.slow
 def test_what_was_broken_off_is_made_anew(dataset, made):
     stored = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)
