@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from wafer_viewer.acquire import motion
 from wafer_viewer.acquire.planner import STRATEGIES, plan_scan
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Shot
@@ -208,6 +209,39 @@ def test_a_full_disk_leaves_the_rig_at_rest(virtual_rig, small_plan, control):
     assert not rig.stage.moving()
     assert rig.box.pulses() == []
     assert rig.camera.next_image(1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("strategy", "call", "late_s"), [("z_snake", "start", 2.5), ("stop_and_shoot", "move_to", 2.05)]
+)
+def test_slow_stage_is_named_when_the_box_gets_no_heartbeat(
+    strategy, call, late_s, virtual_rig, small_plan, recorder, control, monkeypatch
+):
+    rig = virtual_rig()
+    plan, quick = small_plan(rig, strategy), getattr(rig.stage, call)
+
+    def slow(*args, **kwargs):
+        rig.clock.sleep(late_s)
+        return quick(*args, **kwargs)
+
+    monkeypatch.setattr(rig.stage, call, slow)
+    with pytest.raises(RigError, match=r"The stage was waited for during 2\.\d s, and without a heartbeat .* its port"):
+        run_scan(plan, rig, recorder, control())
+
+
+def test_stop_and_shoot_sends_the_heartbeat_during_a_long_move(virtual_rig, small_plan, recorder, control, monkeypatch):
+    rig = virtual_rig()
+    plan, quick = small_plan(rig, "stop_and_shoot"), rig.stage.move_to
+
+    def slow(*, should_stop, **goal):
+        for _ in range(10):
+            rig.clock.sleep(0.3)
+            should_stop()
+        return quick(should_stop=should_stop, **goal)
+
+    monkeypatch.setattr(rig.stage, "move_to", slow)
+    monkeypatch.setattr(motion, "SPARE_S", 10.0)
+    assert run_scan(plan, rig, recorder, control()).kept == plan.n_frames
 
 
 def test_a_dead_trigger_cable_is_found_before_anything_moves(virtual_rig, small_plan, recorder, control):

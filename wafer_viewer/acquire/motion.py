@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from wafer_viewer.model.acquisition.devices import Position, Rig
 from wafer_viewer.model.acquisition.plan import Axis
-from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
+from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
 
 SPARE_FRACTION = 0.5
@@ -137,13 +137,19 @@ def at_um(position: Position, axis: Axis) -> float:
 
 
 @contextmanager
-def device_errors(device: str) -> Generator[None]:
-    """Raise an OSError from a device's driver as a RigError of that device, not as a disk error."""
+def device_errors(device: str, kind: type[Exception] = Exception) -> Generator[None]:
+    """Raise what a device's driver raises as a RigError of that device, an OSError not as a disk error.
+
+    kind: of the errors, narrower where more than calls of the driver is guarded.
+    """
     try:
         yield
-    except OSError as fault:
+    except WaferViewerError:
+        raise
+    except kind as fault:
+        why = (fault.strerror if isinstance(fault, OSError) else None) or str(fault) or type(fault).__name__
         raise RigError(
-            f"The {device} failed ({fault.strerror or fault}): check its cable and its power, and continue."
+            f"The {device} failed ({why.rstrip('.')}): check its cable and its power, and continue."
         ) from fault
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from wafer_viewer.acquire.axis_reference import COUNT_TOLERANCE, stage_count
@@ -12,7 +12,7 @@ from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Pairing, Reco
 from wafer_viewer.model.acquisition.devices import CameraImage, ExposureSequencer, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain
-from wafer_viewer.model.errors import MissedPulse, MotionStopped, PulseBoxRestarted, RigError
+from wafer_viewer.model.errors import MissedPulse, MotionStopped, PulseBoxDisarmed, PulseBoxRestarted, RigError
 from wafer_viewer.model.progress import ShouldStop
 
 POLL_S = 0.05
@@ -69,12 +69,36 @@ class PassResult:
 
 @contextmanager
 def rig_at_rest(rig: Rig) -> Generator[None]:
-    """Leave the rig at rest on exit: no pulses, stage halted, camera stopped."""
-    with ExitStack() as afterwards:
-        afterwards.callback(rig.camera.stop)
-        afterwards.callback(rig.stage.stop)
-        afterwards.callback(rig.box.halt)
+    """Leave the rig at rest on exit: no pulses, stage halted, camera stopped.
+
+    A device that does not obey does not keep the others from it, and does not replace the error of the block.
+    """
+    try:
         yield
+    except BaseException:
+        _bring_to_rest(rig)
+        raise
+    for fault in _bring_to_rest(rig):
+        raise fault
+
+
+def _bring_to_rest(rig: Rig) -> list[RigError]:
+    """Stop all devices, and return the errors of those that did not obey."""
+    faults: list[RigError] = []
+    for device, stop in (("pulse box", rig.box.halt), ("stage", rig.stage.stop), ("camera", rig.camera.stop)):
+        try:
+            with device_errors(device):
+                stop()
+        except RigError as fault:
+            faults.append(fault)
+    return faults
+
+
+def require_devices(rig: Rig) -> None:
+    """Raise the RigError of the first device that does not answer; the camera is stopped."""
+    for device, ask in (("stage", rig.stage.position), ("pulse box", rig.box.hello), ("camera", rig.camera.stop)):
+        with suppress(PulseBoxRestarted), device_errors(device):
+            ask()
 
 
 def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None) -> DeviceClock:
@@ -82,8 +106,7 @@ def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None
 
     Raises RigError if no image arrives.
     """
-    here = rig.limits.z.counts(rig.stage.position().z_um)
-    train = PulseTrain(axis="z", first_count=here, counts_per_frame=1, n_frames=1, direction=1)
+    train = PulseTrain(axis="z", first_count=stage_count(rig, "z"), counts_per_frame=1, n_frames=1, direction=1)
     for _ in range(SYNC_TRIES):
         with device_errors("camera"):
             rig.camera.start(exposure_us)
@@ -122,6 +145,8 @@ def run_pass(
     one = _Pass(rig, leg, settings, take, should_stop)
     try:
         return one.run()
+    except PulseBoxDisarmed as fault:
+        raise one.explained(fault) from fault
     except PulseBoxRestarted:
         one.abort()
         return PassResult(NOTHING_SENT, None, (RESTARTED,), count_mended=0, stopped=False)
@@ -149,6 +174,8 @@ class _Pass:
         """Difference of box and stage counts when the pass began."""
         timing = _timing(rig, leg, exposures_us, self._longest_us, settings.clock, self._delay_us)
         self._reconciler = Reconciler(leg, rig.limits, timing)
+        self._beaten_s, self._stage_s = rig.clock.now_s(), 0.0
+        """Time of the last heartbeat, and how long the stage was waited for since."""
 
     def run(self) -> PassResult:
         """Execute the pass from approach to checks."""
@@ -189,16 +216,19 @@ class _Pass:
         """Move through all pulses at speed; return True if stopped on the way."""
         stage, train, speed = self._rig.stage, self._leg.train, self._leg.speed_um_s
         end_um = self._rig.limits.axis(train.axis).position_um(train.last_count) + self._run_up_um()
-        deadline = Deadline(self._rig, {train.axis: end_um}, speed)
-        self._rig.box.arm(train, min_gap_us=self._rig.limits.camera.period_s(self._longest_us) * 1e6)
         with device_errors("stage"):
+            deadline = Deadline(self._rig, {train.axis: end_um}, speed)
+        self._arm(min_gap_us=self._rig.limits.camera.period_s(self._longest_us) * 1e6)
+        with self._waiting_for_stage():
             stage.start(train.axis, end_um, speed)
         while self._moving():
             if self._should_stop():
-                come_to_rest(self._rig)
+                with device_errors("stage"):
+                    come_to_rest(self._rig)
                 return True
             if deadline.passed:
-                raise deadline.give_up()
+                with device_errors("stage"):
+                    raise deadline.give_up()
             self._look(POLL_S)
         return not self._arrived(deadline)
 
@@ -206,11 +236,11 @@ class _Pass:
         """Halt and settle at every count of the train and take a frame there; return True if stopped."""
         train = self._leg.train
         axis, exposed_s = self._rig.limits.axis(train.axis), self._exposed_s()
-        self._rig.box.arm(train, on_command=True)
+        self._arm(on_command=True)
         last_s = -1.0
         for i in range(train.n_frames):
             count = train.first_count + train.direction * train.counts_per_frame * i
-            if not self._go_to(axis.position_um(count)):
+            if not self._go_to(axis.position_um(count), armed=True):
                 return True
             self._wait_until(last_s + self._rig.limits.camera.period_s(self._longest_us))
             last_s = self._rig.clock.now_s()
@@ -261,13 +291,45 @@ class _Pass:
         train = self._leg.train
         return train.direction * self._rig.limits.axis(train.axis).run_up_um(self._leg.speed_um_s)
 
-    def _go_to(self, to_um: float) -> bool:
-        """Move to `to_um` on the pass axis and to the pass position on the others; return False if stopped."""
+    def _arm(self, *, min_gap_us: float = 0.0, on_command: bool = False) -> None:
+        self._rig.box.arm(self._leg.train, min_gap_us=min_gap_us, on_command=on_command)
+        self._note_heartbeat()
+
+    def _note_heartbeat(self) -> None:
+        self._beaten_s, self._stage_s = self._rig.clock.now_s(), 0.0
+
+    def explained(self, disarmed: PulseBoxDisarmed) -> RigError:
+        """Return the error for a box that disarmed itself: it names the stage if that was waited for meanwhile."""
+        if self._stage_s <= (self._rig.clock.now_s() - self._beaten_s) / 2:
+            return disarmed
+        return RigError(
+            f"The stage was waited for during {self._stage_s:.1f} s, and without a heartbeat meanwhile the pulse box "
+            "disarmed itself: check the cable of the stage and the speed of its port, and continue."
+        )
+
+    @contextmanager
+    def _waiting_for_stage(self) -> Generator[None]:
+        begun_s = self._rig.clock.now_s()
+        try:
+            with device_errors("stage"):
+                yield
+        finally:
+            self._stage_s += self._rig.clock.now_s() - max(begun_s, self._beaten_s)
+
+    def _beat_and_should_stop(self) -> bool:
+        self._pair([])
+        return self._should_stop()
+
+    def _go_to(self, to_um: float, *, armed: bool = False) -> bool:
+        """Move to `to_um` on the pass axis and to the pass position on the others; return False if stopped.
+
+        armed: the pulse box needs its heartbeat on the way.
+        """
         leg = self._leg
         goal: dict[Axis, float] = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um, leg.train.axis: to_um}
         try:
-            with device_errors("stage"):
-                move(self._rig, goal, self._should_stop)
+            with self._waiting_for_stage():
+                move(self._rig, goal, self._beat_and_should_stop if armed else self._should_stop)
         except MotionStopped:
             return False
         return True
@@ -275,14 +337,14 @@ class _Pass:
     def _arrived(self, deadline: Deadline) -> bool:
         """Wait for the end of the motion; return False if stopped."""
         try:
-            with device_errors("stage"):
-                await_arrival(self._rig, deadline, self._should_stop)
+            with self._waiting_for_stage():
+                await_arrival(self._rig, deadline, self._beat_and_should_stop)
         except MotionStopped:
             return False
         return True
 
     def _moving(self) -> bool:
-        with device_errors("stage"):
+        with self._waiting_for_stage():
             return self._rig.stage.moving()
 
     def _look(self, timeout_s: float) -> None:
@@ -292,7 +354,9 @@ class _Pass:
         self._pair([] if image is None else [image])
 
     def _pair(self, images: list[CameraImage]) -> None:
-        for frame in self._reconciler.add(images, self._rig.box.pulses()):
+        pulses = self._rig.box.pulses()
+        self._note_heartbeat()
+        for frame in self._reconciler.add(images, pulses):
             self._take(frame)
 
     def _wait_until(self, time_s: float) -> None:

@@ -39,6 +39,10 @@ class PulseBoxRestarted(RigError):
     """The pulse box restarted: its run, its counts and its clock are lost."""
 
 
+class PulseBoxDisarmed(RigError):
+    """The pulse box disarmed itself, as without a heartbeat."""
+
+
 class MissedPulse(RigError):
     """The pulse box did not send a pulse that it should have sent."""
 

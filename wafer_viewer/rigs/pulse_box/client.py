@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wafer_viewer.model.acquisition.devices import BoxIdentity, Clock, Pulse, PulseSummary, SerialPort
 from wafer_viewer.model.acquisition.plan import Axis, PulseTrain
-from wafer_viewer.model.errors import PulseBoxRestarted, RigError, RigTimeout, WireError
+from wafer_viewer.model.errors import PulseBoxDisarmed, PulseBoxRestarted, RigError, RigTimeout, WireError
 from wafer_viewer.rigs.pulse_box.wpc_protocol import PATIENCE_S, VERSION, Line, WireClient
 
 PULSE_WIDTH_US = 50
@@ -176,13 +176,18 @@ class PulseBoxClient:
         return self._checked(verb, answer)
 
     def _checked(self, verb: str, answer: Line) -> Line:
-        """Return an answer. Raises PulseBoxRestarted or, if the box refused the command, RigError."""
+        """Return an answer. Raises PulseBoxRestarted or, if the box refused the command, RigError.
+
+        A refusal by a box that disarmed itself before is raised as that.
+        """
         boot, before = answer.number("BOOT"), self._boot
         self._boot = boot
         if before not in (None, boot):
             self._armed = False
             raise PulseBoxRestarted(f"The pulse box restarted (boot {boot}, before {before}): check its power.")
         if answer.verb != "OK":
+            if self._armed:
+                self._take_events()
             raise RigError(f"The pulse box refused {verb}: {_why(answer)}.")
         return answer
 
@@ -194,7 +199,9 @@ class PulseBoxClient:
                     self._records[pulse.number] = pulse
             elif event.verb == "F":
                 self._armed = False
-                raise RigError(f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is fixed.")
+                raise PulseBoxDisarmed(
+                    f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is fixed."
+                )
 
     def _fetch(self, emitted: int) -> None:
         """Request the records that were lost on the wire."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import binascii
 import re
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal, cast
 
@@ -154,17 +156,24 @@ class WireClient:
         return found
 
     def _read_waiting(self) -> bytes:
-        return self._read(0.0) if self._port.in_waiting else b""
+        with _cable("read"):
+            return self._port.read(n) if (n := self._port.in_waiting) else b""
 
     def _read(self, timeout_s: float) -> bytes:
-        try:
+        with _cable("read"):
             self._port.timeout = timeout_s
             return self._port.read(max(1, self._port.in_waiting))
-        except OSError as fault:
-            raise RigError(f"The pulse box's port cannot be read ({fault}): check its cable.") from fault
 
     def _write(self, data: bytes) -> None:
-        try:
+        with _cable("written to"):
             self._port.write(data)
-        except OSError as fault:
-            raise RigError(f"The pulse box's port cannot be written to ({fault}): check its cable.") from fault
+
+
+@contextmanager
+def _cable(done: str) -> Generator[None]:
+    """Raise an OSError of the port as a RigError of the pulse box; done: what cannot be done with the port."""
+    try:
+        yield
+    except OSError as fault:
+        why = fault.strerror or fault
+        raise RigError(f"The pulse box's port cannot be {done} ({why}): check its cable and its power.") from fault

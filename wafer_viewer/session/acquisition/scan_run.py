@@ -313,7 +313,7 @@ def run_scan_job(
     focus = FocusWatch(writer, scan.job, rig.limits) if follows else None
     watch = ScanWatch(writer, scan.plan, tell, steering, focus)
     try:
-        with device_errors("rig"):
+        with device_errors("rig", OSError):
             outcome = _run_plan(scan, rig, writer, watch, focus)
         if not outcome.stopped:
             with os_errors_as_dataset_errors(scan.path):
