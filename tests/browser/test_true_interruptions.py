@@ -1,4 +1,4 @@
-"""A scan goes on over a reload of the page, and is continued after its program was killed."""
+"""A scan goes on over a reload of the page, and is continued after its program was killed or its stage was lost."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.steps import eventually, notes, press, set_numbers, title_is
 from tests.session.conftest import small_job
+from wafer_viewer.rigs.rig_config import RigConfig
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -29,8 +31,8 @@ WORK_S = 240
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    opened = Session(tmp_path / "wafers")
+def session(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Session]:
+    opened = Session(tmp_path / "wafers", getattr(request, "param", RigConfig()))
     yield opened
     opened.close()
 
@@ -49,6 +51,19 @@ def test_a_scan_goes_on_while_its_page_is_loaded_again(page: Page, session: Sess
     assert Dataset.open(done.dataset.path).check().ok
     expect(page.get_by_role("button", name="Look at the surface")).to_be_visible()
     assert notes(page).count() == 0
+
+
+@pytest.mark.parametrize("session", [RigConfig(faults=Faults(stage_lost=(25,)))], indirect=True)
+def test_scan_whose_stage_is_lost_is_reported_and_continued(page: Page, session: Session):
+    session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
+    session.edit_job(small_job(cols=2)).result()
+    press(page, "Start scan")
+    title_is(page, "The scan is unfinished")
+    note = notes(page).filter(has_text="The scan stopped")
+    expect(note).to_contain_text("The stage failed (No such device): check its cable and its power")
+    press(page, "Continue the scan")
+    title_is(page, "The scan is done")
+    assert Dataset.open(session.snapshot.dataset.path).check().ok
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import logging
 import os
 import signal
 import sys
@@ -27,6 +28,10 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
+
+PATIENCE_S = 20.0
+"""Time in which a child shuts down after its pipe was closed; then it is killed."""
+log = logging.getLogger(__name__)
 
 
 class ChildDied(WaferViewerError):
@@ -75,7 +80,10 @@ def end_with_parent() -> None:
 
 
 class ChildProcess:
-    """Viewer's end of the pipe. The child runs ``target(pipe, *args)``; events arrive on a separate thread."""
+    """Viewer's end of the pipe. The child runs ``target(pipe, *args)``; events arrive on a separate thread.
+
+    A message that cannot be dealt with ends the child: nobody would read its further replies.
+    """
 
     def __init__(
         self,
@@ -94,7 +102,7 @@ class ChildProcess:
         self._numbers = count(1)
         self._waiting: dict[int, Future[Any]] = {}
         self._sending = threading.Lock()
-        self._closing = False
+        self._closing = self._ended = False
         self._reader = threading.Thread(target=self._read, name=f"{name} events", daemon=True)
         self._reader.start()
 
@@ -110,28 +118,42 @@ class ChildProcess:
             number = next(self._numbers)
             self._waiting[number] = answer
             try:
+                if self._ended:
+                    raise OSError("The pipe has ended.")
                 self._pipe.send(Request(number, command))
             except OSError:
                 self._waiting.pop(number).set_exception(_child_ended())
         return answer
 
-    def close(self, patience_s: float = 20.0) -> None:
+    def close(self) -> None:
         """Close the pipe so that the child shuts down and exits; kill it if it does not exit in time."""
         self._closing = True
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send(None)
-        self.process.join(patience_s)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
+        self._await_exit()
         self._reader.join(1.0)
         self._pipe.close()
 
+    def _await_exit(self) -> None:
+        self.process.join(PATIENCE_S)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
     def _read(self) -> None:
-        with contextlib.suppress(EOFError, OSError):
-            while True:
-                self._take(self._pipe.recv())
+        """Take messages until the pipe ends, then fail what waits for a reply."""
+        try:
+            with contextlib.suppress(EOFError, OSError):
+                while True:
+                    self._take(self._pipe.recv())
+        except Exception:
+            log.exception("A message of the process '%s' could not be dealt with.", self.process.name)
+            with self._sending:
+                self._pipe.close()
+            self._await_exit()
         self.process.join(1.0)
+        with self._sending:
+            self._ended = True
         for number in list(self._waiting):
             self._waiting.pop(number).set_exception(_child_ended())
         if not self._closing:
@@ -140,10 +162,12 @@ class ChildProcess:
     def _take(self, message: Any) -> None:
         if not isinstance(message, Reply):
             self._on_event(message)
+        elif (answer := self._waiting.pop(message.number, None)) is None:
+            log.error("The process '%s' replied to request %d twice.", self.process.name, message.number)
         elif message.error is not None:
-            self._waiting.pop(message.number).set_exception(message.error)
+            answer.set_exception(message.error)
         else:
-            self._waiting.pop(message.number).set_result(message.value)
+            answer.set_result(message.value)
 
 
 class ChildConnection:

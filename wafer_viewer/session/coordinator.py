@@ -215,6 +215,9 @@ class SessionCoordinator:
     def close_dataset(self) -> None:
         """Close the dataset."""
         self.rig.require_idle("close its dataset")
+        self._close_dataset()
+
+    def _close_dataset(self) -> None:
         self.reconstruction.abandon()
         self.frame_check.forget()
         self.library.close()
@@ -434,15 +437,24 @@ class SessionCoordinator:
 
     def _scan_ended(self, event: ScanEnded | None) -> None:
         """Update the state after a scan, from the data on disk; the event is None when the rig process died."""
-        self.library.scan_ended()
+        try:
+            self.library.scan_ended()
+        except DatasetError as fault:
+            name = self.library.shown.name
+            self.notices.fault(f"{name} was closed", f"{fault} Open it again when its folder is back.", "open")
+            self._close_dataset()
+        else:
+            self._reconstruct_scanned(event)
+        self.plan_editor.price()
+        self._scan_over.set_result(None)
+
+    def _reconstruct_scanned(self, event: ScanEnded | None) -> None:
         self.reconstruction.no_more_frames()
         if (scan := self.command_queue.now.scan) is not None:
             self.command_queue.change(scan=replace(scan, finished=True, seconds_left=0.0))
         if event is not None and not event.stopped:
             self.reconstruction.add([n for n, s in self.library.shown.states.items() if s is FieldState.TO_REPEAT])
         self.reconstruction.go_on()
-        self.plan_editor.price()
-        self._scan_over.set_result(None)
 
     def _compute_missing(self) -> None:
         """Compute missing heights, mosaic and summary, as far as the dataset is writable."""

@@ -92,6 +92,15 @@ class VirtualCamera:
         self._ready_s = 0.0
         self._edges = self._exposures = 0
         self._triggers = 0
+        self._lost = False
+
+    def pull_cable(self) -> None:
+        """Lose the line to the camera: commands raise a RuntimeError, as the drivers of some libraries."""
+        self._lost = True
+
+    def _check_cable(self) -> None:
+        if self._lost:
+            raise RuntimeError("Camera is not available.")
 
     @property
     def triggers(self) -> int:
@@ -109,6 +118,7 @@ class VirtualCamera:
 
     def start_sequence(self, exposures_us: tuple[float, ...]) -> None:
         """Arm the camera with exposures in turn, from the first one on; an ignored trigger does not use one up."""
+        self._check_cable()
         limits = self._limits
         for exposure_us in exposures_us:
             if not limits.exposure_min_us <= exposure_us <= limits.exposure_max_us:
@@ -121,6 +131,7 @@ class VirtualCamera:
 
     def stop(self) -> None:
         """Disarm the camera; images not fetched are dropped."""
+        self._check_cable()
         self._forget()
         self._exposures_us = ()
 
@@ -153,8 +164,10 @@ class VirtualCamera:
 
     def next_image(self, timeout_s: float) -> CameraImage | None:
         """Return the next image, or None on timeout."""
+        self._check_cable()
         if not self._clock.wait_for(lambda: bool(self._queue), timeout_s):
             return None
+        self._check_cable()
         return self._rendered_image(self._queue.popleft())
 
     def _frame_seed(self, number: int) -> int:

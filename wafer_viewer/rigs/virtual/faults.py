@@ -36,6 +36,8 @@ class Faults(Spec, frozen=True, kw_only=True):
     slipping_motions : motions in which the pulse box loses `slip_counts` counts of the axis that it is set to.
     reboots : triggers at which the pulse box loses its power; it answers again after 1.5 s,
         with time and counts at 0 where the stage stands.
+    stage_lost, box_lost, camera_lost : triggers at which the cable of the device is pulled; it answers again when the
+        rig is opened again. A motion goes on to its end, and the box disarms itself without a heartbeat.
     endless_motions : motions after which the stage reports motion until it is stopped.
     late_motions : motions that begin `late_s` after their command.
     overshooting_motions : motions that end `overshoot_um` beyond their goal.
@@ -61,6 +63,9 @@ class Faults(Spec, frozen=True, kw_only=True):
     slip_counts: Count = 14
     slips_reported: bool = True
     reboots: Numbers = ()
+    stage_lost: Numbers = ()
+    box_lost: Numbers = ()
+    camera_lost: Numbers = ()
     endless_motions: Numbers = ()
     late_motions: Numbers = ()
     late_s: NonNegative = 0.5

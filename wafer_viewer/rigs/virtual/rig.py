@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from wafer_viewer.model.acquisition.devices import DeviceIdentity, Overview
 from wafer_viewer.model.acquisition.plan import Axis, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
@@ -261,12 +263,12 @@ class VirtualRig:
         )
 
     def close(self) -> None:
-        """Stop motion, stop the pulses, and close the port."""
+        """Stop motion, stop the pulses, and close the port, as far as the devices answer."""
         if not self._port.has_room:
             return
-        self._box.halt()
-        self._stage.stop()
-        self._camera.stop()
+        for stop in (self._box.halt, self._stage.stop, self._camera.stop):
+            with suppress(RigError, OSError, RuntimeError):
+                stop()
         self._port.close()
 
     def truth_for_tests(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
@@ -288,9 +290,17 @@ class VirtualRig:
             self._clock.at(time_s, lambda _: self._firmware.reboot())
         if number in faults.slips:
             self._firmware.slip(faults.slip_counts, reported=faults.slips_reported)
+        self._pull_cables(number)
         if number in faults.extra_edges:
             self._clock.at(time_s + faults.extra_edge_us * 1e-6, self._disturbed)
         return exposed and number not in faults.unseen_exposures
+
+    def _pull_cables(self, number: int) -> None:
+        faults = self._faults
+        lost = (faults.stage_lost, self._stage), (faults.box_lost, self._port), (faults.camera_lost, self._camera)
+        for numbers, device in lost:
+            if number in numbers:
+                device.pull_cable()
 
     def _disturbed(self, time_s: float) -> None:
         """Simulate interference on the camera cable."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
@@ -44,10 +46,16 @@ class VirtualPort:
         self._rng = np.random.default_rng(self._wire.seed)
         self._arrived = bytearray()
         self.has_room = True
+        self._lost = False
+
+    def pull_cable(self) -> None:
+        """Lose the line; further calls raise OSError, as of a port on USB."""
+        self._lost = True
 
     @property
     def in_waiting(self) -> int:
         """Number of bytes that can be read without waiting."""
+        self._check_open()
         self._clock.catch_up()
         return len(self._arrived)
 
@@ -79,6 +87,8 @@ class VirtualPort:
     def _check_open(self) -> None:
         if not self.has_room:
             raise RigError("The virtual pulse box's port is closed: open the rig again.")
+        if self._lost:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     def _disturbed(self, data: bytes) -> bytes:
         if self._wire.lost_fraction == self._wire.damaged_fraction == 0:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -207,6 +209,15 @@ class VirtualStage:
         self._error_y = ScaleError((seed, 2), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
         self._error_z = ScaleError((seed, 3), AXIAL_ERROR_UM, AXIAL_WAVES_UM)
         self._followers: list[Callable[[Axis, float], None]] = []
+        self._lost = False
+
+    def pull_cable(self) -> None:
+        """Lose the line to the stage: commands raise OSError, and a motion goes on to its end."""
+        self._lost = True
+
+    def _check_cable(self) -> None:
+        if self._lost:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
     def on_motion(self, follower: Callable[[Axis, float], None]) -> None:
         """Register a callback for axis and time of every start and interruption of a motion."""
@@ -231,6 +242,7 @@ class VirtualStage:
 
     def position(self) -> Position:
         """Return the current scale readings."""
+        self._check_cable()
         return self.scales_at(self._clock.now_s())
 
     def scales_at(self, time_s: float) -> Position:
@@ -265,6 +277,7 @@ class VirtualStage:
 
         Raises MotionStopped, with the stage at rest, when `should_stop` returns True before or during the motion.
         """
+        self._check_cable()
         wanted = zip(self.axes.values(), (x_um, y_um, z_um), strict=True)
         goals = [(axis, to_um) for axis, to_um in wanted if to_um is not None]
         for axis, to_um in goals:
@@ -280,6 +293,7 @@ class VirtualStage:
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
         """Begin a motion of one axis at a given speed, and return at once."""
+        self._check_cable()
         one = self.axes[axis]
         self._check(one, to_um)
         one.limits.require_speed(axis, speed_um_s)
@@ -288,15 +302,18 @@ class VirtualStage:
 
     def homed(self) -> bool:
         """Return True, as the scales are absolute."""
+        self._check_cable()
         return True
 
     def moving(self) -> bool:
         """Return whether any axis is in motion."""
+        self._check_cable()
         now_s = self._clock.now_s()
         return self._endless or any(axis.moving(now_s) for axis in self._all)
 
     def wait(self) -> None:
         """Wait until every axis is at rest and settled. Raises RigTimeout when it does not report so in time."""
+        self._check_cable()
         self._clock.sleep(self._unsettled_s())
         if self._endless:
             self._clock.sleep(REST_PATIENCE_S)
@@ -304,6 +321,7 @@ class VirtualStage:
 
     def stop(self) -> None:
         """Decelerate every axis to a halt, those of positioners too. This is not an emergency stop."""
+        self._check_cable()
         self._endless = False
         for axis in self._all:
             self.halt(axis.name)

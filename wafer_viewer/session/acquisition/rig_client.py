@@ -279,6 +279,8 @@ class RigClient:
             return None
 
     def _absent(self, event: RigAbsent) -> None:
+        """Await the end of the process, so that the next one can open the devices."""
+        self.close()
         self._show(state="absent", message=event.why)
 
     def _at(self, event: StageMoved) -> None:
@@ -336,10 +338,8 @@ class RigClient:
         self._reports.scan_ended(event)
 
     def _died(self, exit_code: int | None) -> None:
-        """Report that the process died unexpectedly; an absent rig has already given its reason."""
+        """Report that the process died unexpectedly."""
         snapshot = self._command_queue.now
-        if snapshot.rig.state == "absent":
-            return
         remark = " The frames of complete passes are kept." if snapshot.scanning else ""
         text = f"The rig's process ended (exit code {exit_code}).{remark}"
         self._show(state="fault", message=f"{text} The next move or scan restarts it.")

@@ -15,11 +15,12 @@ from typing import Any
 
 from wafer_viewer.acquire.hand_drive import drive, jog
 from wafer_viewer.acquire.motion import at_um, come_to_rest, device_errors, move
-from wafer_viewer.acquire.pass_runner import rig_at_rest
+from wafer_viewer.acquire.pass_runner import require_devices, rig_at_rest
 from wafer_viewer.acquire.positioning import move_positioner, read_positioners
 from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.positioners import PositionerReading
 from wafer_viewer.model.acquisition.procedure import Procedure, ProcedureStep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
@@ -42,6 +43,7 @@ from wafer_viewer.session.acquisition.rig_messages import (
     RigReady,
     RunProcedure,
     Scan,
+    ScanEnded,
     StageMoved,
     Stop,
     WatchLive,
@@ -49,6 +51,8 @@ from wafer_viewer.session.acquisition.rig_messages import (
 from wafer_viewer.session.acquisition.scan_run import REPORT_EVERY_S, Steering, run_scan_job, writer_of
 from wafer_viewer.session.planning.guided_tour import tour_of
 from wafer_viewer.session.surface.kernel_build import SIMULATION, compile_parts
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
 
 def run_rig(pipe: Connection, config: RigConfig) -> None:
@@ -66,6 +70,8 @@ def run_rig(pipe: Connection, config: RigConfig) -> None:
             compile_parts(SIMULATION)
         end.tell(OverviewReady(rig.overview()))
         RigExecutor(rig, end).work()
+    except WaferViewerError as fault:
+        end.tell(RigAbsent(f"{fault} The next move or scan connects to the rig again."))
     finally:
         rig.close()
 
@@ -92,6 +98,14 @@ class RigCommand:
     n_stops: int
 
 
+@dataclass(frozen=True, slots=True)
+class RunningScan:
+    """Scan that has begun: its command was answered, and its end is reported as an event."""
+
+    scan: Scan
+    writer: DatasetWriter
+
+
 class RigExecutor:
     """Executor of one command at a time; pause, resume and stop are received at once on a separate thread.
 
@@ -108,15 +122,32 @@ class RigExecutor:
         self._handle, self._live = JogHandle(), LiveCamera(rig, end.tell)
 
     def work(self) -> None:
-        """Execute commands until the pipe ends, and take live frames between them."""
+        """Execute commands until the pipe ends, and take live frames between them.
+
+        Raises RigError when a device does not answer any more after a command failed: the rig has to be opened again.
+        """
         threading.Thread(target=self._listen, name="verbs", daemon=True).start()
         while (order := self._next()) is not None:
-            try:
-                self._carry_out(order)
-            except WaferViewerError as fault:
-                if isinstance(fault, MotionStopped):
-                    self._heeded = self._n_stops
-                self._end.refuse(order.request, fault)
+            if not self._execute(order):
+                self._live.suspend()
+                require_devices(self._rig)
+
+    def _execute(self, order: RigCommand) -> bool:
+        """Carry out a command and reply to it once; a scan goes on after the reply. Return whether all went well."""
+        try:
+            result = self._carry_out(order)
+        except WaferViewerError as fault:
+            if isinstance(fault, MotionStopped):
+                self._heeded = self._n_stops
+            self._end.refuse(order.request, fault)
+            return isinstance(fault, MotionStopped)
+        if not isinstance(result, RunningScan):
+            self._end.answer(order.request, result)
+            return True
+        self._end.answer(order.request)
+        ended = self._scan_to_end(result)
+        self._end.tell(ended)
+        return ended.error is None
 
     def _next(self) -> RigCommand | None:
         """Return the next command; take live frames until there is one."""
@@ -129,20 +160,25 @@ class RigExecutor:
         return self._todo.get()
 
     def _listen(self) -> None:
-        for request in self._end.requests():
-            if self._renewed(request):
-                self._end.answer(request)
-                continue
-            if (steer := self._steer.get(type(request.command))) is not None:
-                steer()
-                self._end.answer(request)
-                continue
-            if isinstance(request.command, Stop):
-                self._stop()
-            self._todo.put(RigCommand(request, self._n_stops))
-        self._steering.end()
-        self._stop()
-        self._todo.put(None)
+        try:
+            for request in self._end.requests():
+                if self._is_done_at_once(request):
+                    self._end.answer(request)
+                else:
+                    self._todo.put(RigCommand(request, self._n_stops))
+        finally:
+            self._steering.end()
+            self._stop()
+            self._todo.put(None)
+
+    def _is_done_at_once(self, request: Request) -> bool:
+        """Take a request on the listening thread; return whether nothing is left for the executor."""
+        if (steer := self._steer.get(type(request.command))) is not None:
+            steer()
+            return True
+        if isinstance(request.command, Stop):
+            self._stop()
+        return self._renewed(request)
 
     def _renewed(self, request: Request) -> bool:
         """Take a word that nothing has to be done about by the executor."""
@@ -163,30 +199,30 @@ class RigExecutor:
         self._n_stops += 1
         self._steering.stop()
 
-    def _carry_out(self, order: RigCommand) -> None:
+    def _carry_out(self, order: RigCommand) -> Any:
+        """Return the reply to a command, or the scan that has begun."""
         if not isinstance(order.request.command, Jog | WatchLive):
             self._live.suspend()
         match order.request.command:
             case Scan() as scan:
                 self._live.end()
-                self._scan(order, scan)
+                return self._begun_scan(order, scan)
             case Jog():
-                self._jog(order)
+                return self._jog(order)
             case Drive() as way:
-                self._drive(order, way)
+                return self._drive(order, way)
             case WatchLive():
-                self._end.answer(order.request)
+                return None
             case Move() as goal:
-                self._move(order, goal)
+                return self._move(order, goal)
             case MovePositioner() as goal:
-                self._move_positioner(order, goal)
+                return self._move_positioner(order, goal)
             case RunProcedure(number, procedure):
-                self._run_procedure(order, number, procedure)
+                return self._run_procedure(order, number, procedure)
             case LoadSample() as load:
-                self._load(load.sample)
-                self._end.answer(order.request)
+                return self._load(load.sample)
             case _:
-                self._end.answer(order.request, order.n_stops <= self._heeded)
+                return order.n_stops <= self._heeded
 
     def _stopped_since(self, order: RigCommand) -> bool:
         return self._n_stops > order.n_stops
@@ -199,7 +235,6 @@ class RigExecutor:
                 move(self._rig, goal_um, lambda: self._stopped_since(order))
         finally:
             self._report_position()
-        self._end.answer(order.request)
 
     def _drive(self, order: RigCommand, way: Drive) -> None:
         here = self._rig.stage.position()
@@ -211,16 +246,14 @@ class RigExecutor:
             drive(self._rig, goal_um, way.highest_um, lambda: self._stopped_since(order))
         finally:
             self._report_position()
-        self._end.answer(order.request)
 
-    def _move_positioner(self, order: RigCommand, goal: MovePositioner) -> None:
+    def _move_positioner(self, order: RigCommand, goal: MovePositioner) -> PositionerReading:
         rig = self._rig
         try:
-            reading = move_positioner(rig, goal.name, goal.to, lambda: self._stopped_since(order))
+            return move_positioner(rig, goal.name, goal.to, lambda: self._stopped_since(order))
         finally:
             self._report_position()
             self._end.tell(PositionersMoved(read_positioners(rig), rig.limits, rig.setup, rig.calibration))
-        self._end.answer(order.request, reading)
 
     def _jog(self, order: RigCommand) -> None:
         """Jog until the handle is released; the words may have ended while another command was executed.
@@ -246,50 +279,61 @@ class RigExecutor:
                 self._heeded = self._n_stops
             self._report_position()
             self._end.tell(Jogging(False))
-        self._end.answer(order.request)
 
-    def _run_procedure(self, order: RigCommand, number: int, procedure: Procedure[Any]) -> None:
+    def _run_procedure(self, order: RigCommand, number: int, procedure: Procedure[Any]) -> Any:
         if self._stopped_since(order):
             raise MotionStopped(f"{procedure.title} was stopped before it began.")
         watch = _ProcedureWatch(
             lambda: self._stopped_since(order), lambda step: self._end.tell(ProcedureProgress(number, step))
         )
         try:
-            with device_errors("rig"), rig_at_rest(self._rig):
-                result = procedure.run(self._rig, watch)
+            with device_errors("rig", OSError), rig_at_rest(self._rig):
+                return procedure.run(self._rig, watch)
         finally:
             with device_errors("stage"):
                 come_to_rest(self._rig)
             self._report_position()
-        self._end.answer(order.request, result)
 
     def _load(self, sample: Sample | None) -> None:
         """Load a sample on a rig with a sample changer, and report the new overview."""
         if isinstance(self._rig, SampleChanger) and self._rig.load_sample(sample):
             self._end.tell(OverviewReady(self._rig.overview()))
 
-    def _scan(self, order: RigCommand, scan: Scan) -> None:
+    def _begun_scan(self, order: RigCommand, scan: Scan) -> RunningScan:
         self._load(scan.job.sample)
         self._steering.reset()
         if self._stopped_since(order):
             self._steering.stop()
-        with writer_of(scan, self._rig) as writer:
-            self._end.answer(order.request)
-            ended = run_scan_job(scan, self._rig, writer, self._end.tell, self._steering)
+        return RunningScan(scan, writer_of(scan, self._rig))
+
+    def _scan_to_end(self, begun: RunningScan) -> ScanEnded:
+        """Run a scan and leave the rig at rest; whatever ends it early is the error of its end."""
+        scan, ended = begun.scan, ScanEnded(begun.scan.path, stopped=True, n_missing=0, error=None)
+        try:
+            with os_errors_as_dataset_errors(scan.path), begun.writer:
+                ended = run_scan_job(scan, self._rig, begun.writer, self._end.tell, self._steering)
+        except WaferViewerError as fault:
+            ended = failed(ended, fault)
         if ended.stopped:
             self._heeded = self._n_stops
         try:
             with device_errors("stage"):
                 come_to_rest(self._rig)
+            self._report_position()
         except RigError as fault:
-            ended = replace(ended, stopped=True, error=ended.error or str(fault))
-        self._report_position()
-        self._end.tell(ended)
+            ended = failed(ended, fault)
+        return ended
 
     def _report_position(self) -> None:
         """Report the position and whether the stage is homed; an interrupted reference search leaves it not homed."""
         stage = self._rig.stage
-        self._end.tell(StageMoved(stage.position(), stage.homed()))
+        with device_errors("stage"):
+            self._end.tell(StageMoved(stage.position(), stage.homed()))
+
+
+def failed(ended: ScanEnded, fault: WaferViewerError) -> ScanEnded:
+    """Return the end of a scan with a fault; the first one is its error."""
+    return replace(ended, stopped=True, error=ended.error or str(fault))
 
 
 class _ProcedureWatch:
