@@ -81,6 +81,17 @@ def _on_stage(field: Field, alignment: Alignment) -> Field:
     return msgspec.structs.replace(field, x_um=x_um, y_um=y_um)
 
 
+_AFTER_THE_SCAN = frozenset(("recipe", "features", "dies", "defect_sensitivity", "compression"))
+"""Settings of a job for what is made of its frames, which do not depend on them."""
+
+
+def changed_settings(job: Job, other: Job) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of the settings that differ: those that frames depend on or belong to, and the others."""
+    differ = [name for name in job.__struct_fields__ if getattr(job, name) != getattr(other, name)]
+    of_frames = tuple(name for name in differ if name not in _AFTER_THE_SCAN)
+    return of_frames, tuple(name for name in differ if name in _AFTER_THE_SCAN)
+
+
 class VerdictChange(Spec, frozen=True, kw_only=True):
     """A feature whose verdict changes. before: None if it was not judged; after: None if it is no longer judged."""
 

@@ -7,7 +7,11 @@ import errno
 import numpy as np
 import pytest
 
-from wafer_viewer.model.spec import encode
+from wafer_viewer.model.acquisition.plan import FocusSweep
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.spec import encode, replace
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.acquisition.headless import scan_to
@@ -139,6 +143,51 @@ def test_an_error_of_a_device_is_not_told_as_a_full_disk(rig, scan, monkeypatch)
         ended = run_scan_job(scan, rig, writer, lambda _: None, Steering())
     assert ended.error == "The camera failed (No such device): check its cable and its power, and continue."
     assert Dataset.open(scan.path).faults == (ended.error,)
+
+
+def test_exception_of_a_camera_library_ends_the_scan_with_the_mend(rig, scan, monkeypatch):
+    def failed(*_):
+        raise RuntimeError("Camera is not available.")
+
+    for call in ("next_image", "stop"):
+        monkeypatch.setattr(rig.camera, call, failed)
+    with writer_of(scan, rig) as writer:
+        ended = run_scan_job(scan, rig, writer, lambda _: None, Steering())
+    assert ended.error == "The camera failed (Camera is not available): check its cable and its power, and continue."
+
+
+def continued(scan, job, rig):
+    """Begin a scan without a frame, and continue it by a job; what the person is told."""
+    writer_of(scan, rig).close()
+    warned = []
+    ended = scan_to(scan.path, job, rig, lambda _: None, pytest.fail, warned.append)
+    assert ended.words == "30 of 30 frames kept"
+    return warned
+
+
+def test_scan_is_continued_by_a_plan_with_another_recipe(rig, scan):
+    changed = replace(scan.job, recipe=Recipe(window=11), defect_sensitivity=6.0, compression="zstd")
+    assert continued(scan, changed, rig) == [
+        "scan.wafer keeps the values of recipe, defect_sensitivity that it was started with; the plan has others."
+    ]
+    assert Dataset.open(scan.path).scan.job == scan.job
+    assert Dataset.open(scan.path).check().ok
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"exposures_us": (50.0,)}, "exposures_us"),
+        ({"sweep": FocusSweep(z_step_um=1.0, n_frames=10), "z_start_um": 1.0}, "z_start_um, sweep"),
+        ({"sample": Sample(lot="L2")}, "sample"),
+        ({"light_fraction": 0.5}, "light_fraction"),
+        ({"product": "other"}, "product"),
+    ],
+    ids=str,
+)
+def test_scan_is_not_continued_by_a_plan_with_other_frames(rig, scan, changes, named):
+    with pytest.raises(PlanError, match=f"another plan, which has other values of {named}: choose another name, or"):
+        continued(scan, replace(scan.job, **changes), rig)
 
 
 def test_a_pass_that_slipped_is_reported_and_none_of_its_frames_is_counted_as_done(job, tmp_path):

@@ -18,7 +18,7 @@ from wafer_viewer.model.acquisition.exposure import FoundExposure
 from wafer_viewer.model.acquisition.positioners import PositionerState
 from wafer_viewer.model.acquisition.procedure import Procedure, ProcedureStep
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job import Job
+from wafer_viewer.model.job import Job, changed_settings
 from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.spec import replace as replace_spec
 from wafer_viewer.session.acquisition.exposure_search import exposure_search
@@ -53,13 +53,14 @@ def scan_to(
 ) -> Ended:
     """Scan a job into a new dataset, or continue an unfinished one.
 
-    `ready` is called with the preflight checks and may raise. `warn` is called with every fault of the running scan.
-    Damaged frames are taken again. Raises DatasetError when the dataset cannot be written or there is nothing to take,
-    PlanError when it belongs to another job.
+    A scan is continued by its own job, as long as `job` has the same values of all that frames depend on. `ready` is
+    called with the preflight checks and may raise. `warn` is called with every fault of the running scan, and with the
+    other settings that differ. Damaged frames are taken again. Raises DatasetError when the dataset cannot be written
+    or there is nothing to take, PlanError when it belongs to another job.
     """
     remove_half_made(path)
     if path.exists():
-        scan = _continued_scan(path, job)
+        scan = _continued_scan(path, job, warn)
     else:
         scan = Scan(path, plan_of(job, rig.limits), job)
         ready(_preflight_checks(scan, rig))
@@ -144,7 +145,7 @@ def go_to_focus(
 def run_procedure(procedure: Procedure[Result], rig: Rig, tell: Progress) -> Result:
     """Carry a procedure out; Ctrl-C stops it with the rig at rest, by MotionStopped."""
     control = ProcedureSteering(tell)
-    with interrupt_stops(control.stop), device_errors("rig"), rig_at_rest(rig):
+    with interrupt_stops(control.stop), device_errors("rig", OSError), rig_at_rest(rig):
         return procedure.run(rig, control)
 
 
@@ -174,13 +175,18 @@ class ProcedureSteering(Steering):
         self._tell(step.fraction)
 
 
-def _continued_scan(path: Path, job: Job) -> Scan:
-    data = Dataset.open(path)
-    if replace_spec(data.scan.job, compression=job.compression) != job:
+def _continued_scan(path: Path, job: Job, warn: Callable[[str], None]) -> Scan:
+    """Return the rest of a scan by its own job; settings that no frame depends on may differ from it."""
+    begun = Dataset.open(path).scan
+    of_frames, others = changed_settings(replace_spec(begun.job, compression=job.compression), job)
+    if of_frames:
         raise PlanError(
-            f"{path} was started with another plan: choose another name, or give the plan it was started with."
+            f"{path} was started with another plan, which has other values of {', '.join(of_frames)}: choose another "
+            "name, or give the plan it was started with."
         )
-    return Scan(path, data.scan.plan, job, goes_on=True)
+    if others:
+        warn(f"{path.name} keeps the values of {', '.join(others)} that it was started with; the plan has others.")
+    return Scan(path, begun.plan, begun.job, goes_on=True)
 
 
 def _preflight_checks(scan: Scan, rig: Rig) -> tuple[PreflightCheck, ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.errors import DatasetError, DiskFullError, PlanError
-from wafer_viewer.model.job import Job, Trial, WaferVerdict
+from wafer_viewer.model.job import Job, Trial, WaferVerdict, changed_settings
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import load_summary
@@ -82,7 +82,7 @@ def _is_of(out: Path, job: Job) -> bool:
     if not (job.released and (out / RECORD).exists()):
         return False
     begun: Any = Dataset.open(out).scan.job
-    return prepared(begun) == prepared(for_next_wafer(job))
+    return not changed_settings(prepared(begun), prepared(for_next_wafer(job)))[0]
 
 
 def _aligned(job: Job, corners_um: Sequence[float]) -> Job:
