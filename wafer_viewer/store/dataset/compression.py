@@ -35,16 +35,10 @@ from wafer_viewer.store.dataset.frame_pages import (
 )
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.ome_header import ome_xml
-from wafer_viewer.store.dataset.scan_record import (
-    COMPRESSED_VERSION,
-    FRAMES,
-    SCHEMA_VERSION,
-    FrameKept,
-    frames_file,
-    set_version,
-)
+from wafer_viewer.store.dataset.scan_record import FRAMES, FrameKept, frames_file
 from wafer_viewer.store.io.atomic_files import atomic_write, remove, require_space
 from wafer_viewer.store.io.checksums import remedy
+from wafer_viewer.store.io.format_version import set_compressed
 
 _PAGES_AT_ONCE = 16
 """Number of pages that are compressed between two calls of the progress."""
@@ -137,7 +131,7 @@ def _compress(data: Dataset, codec: str, progress: Progress, should_stop: Should
     if codec == "none":
         require_space(data.path, _growth(data, pending), data.path.name)
     elif pending:
-        set_version(data.path, COMPRESSED_VERSION)
+        set_compressed(data.path, True)
 
     def tick(done: float) -> None:
         progress((n_done + done) / len(data.fields))
@@ -159,7 +153,7 @@ def _compress(data: Dataset, codec: str, progress: Progress, should_stop: Should
     progress(1.0)
     if codec == "none" and not left:
         write_headers(data)
-        set_version(data.path, SCHEMA_VERSION)
+        set_compressed(data.path, False)
     return CompressionReport(codec, before, data.frame_bytes(), n_changed, tuple(left))
 
 

@@ -19,7 +19,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.store.dataset.journal_index import INDEX
 from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
-from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, SCHEMA_VERSION, JournalReader, with_version
+from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, JournalReader
 from wafer_viewer.store.io.atomic_files import files_below, natural_sort_key, size
 from wafer_viewer.store.io.checksums import (
     Checksum,
@@ -31,6 +31,7 @@ from wafer_viewer.store.io.checksums import (
     text_state,
 )
 from wafer_viewer.store.io.file_lock import ANNOUNCEMENT
+from wafer_viewer.store.io.format_version import with_version
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
 from wafer_viewer.store.mosaic.statistics import facts_state
@@ -279,9 +280,9 @@ def _digest(what: str, subject: str, folder: Path, files: list[Path]) -> Digest:
 
 
 def _add(digest: hashlib._Hash, path: Path) -> None:
-    """Add a file; the record as it was before its frames were compressed, which changes no number of the scan."""
+    """Add a file; the record with a fixed format version, which changes no number of the scan."""
     if path.name == SCAN:
-        digest.update(with_version(path.read_bytes(), SCHEMA_VERSION))
+        digest.update(with_version(path.read_bytes(), 1))
         return
     with path.open("rb") as file:
         while piece := file.read(PIECE):

@@ -19,6 +19,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 from wafer_viewer.store.io.atomic_files import atomic_write, make_folder, os_errors_as_dataset_errors, to_disk
 from wafer_viewer.store.io.checksums import SURFACES, load_json, require_good_json, save_json, stored_checksum
+from wafer_viewer.store.io.format_version import raise_schema
 from wafer_viewer.store.mosaic.missing_shards import require_complete_once
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses, write_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
@@ -213,4 +214,5 @@ class Result:
 
     def _save(self, name: str, spec: Spec) -> None:
         make_folder(self.path)
+        raise_schema(self.path.parents[1])
         save_json(self.path / name, spec)

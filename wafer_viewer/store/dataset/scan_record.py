@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
@@ -25,7 +24,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_err
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.dataset.frame_pages import PageShape
-from wafer_viewer.store.io.atomic_files import flush, os_errors_as_dataset_errors, to_disk, write_text
+from wafer_viewer.store.io.atomic_files import flush, os_errors_as_dataset_errors, to_disk
 from wafer_viewer.store.io.checksums import (
     MOST_RECORD_BYTES,
     Checksum,
@@ -36,16 +35,13 @@ from wafer_viewer.store.io.checksums import (
     lines_are_good,
     save_json,
     sealed_line,
-    sealed_text,
     strip_checksum,
     text_state,
 )
+from wafer_viewer.store.io.format_version import RECORD, SCHEMA, is_compressed, version_of
 from wafer_viewer.store.io.guarded_reading import read_content
 
-SCHEMA_VERSION, COMPRESSED_VERSION = 1, 2
-"""Format of a dataset as it is scanned, and of one with compressed frame files, which older programs cannot read."""
-_VERSION = re.compile(rb'("schema_version": ?)\d+')
-RECORD, FRAMES, JOURNAL, RESULTS = "scan.json", "frames", "journal.jsonl", "results"
+FRAMES, JOURNAL, RESULTS = "frames", "journal.jsonl", "results"
 FLAT_FIELD = "flat-field.json"
 """Flat field that the calibration names; absent without one."""
 
@@ -53,14 +49,15 @@ FLAT_FIELD = "flat-field.json"
 class ScanRecord(Spec, frozen=True, kw_only=True):
     """Plan, job, rig, calibration, program version and format version.
 
-    schema_version: 1, or 2 when frame files may be compressed; bits: 8, or up to 16 stored in 16; taken: start of the
-    scan, ISO 8601; positioners: positions of light, objective, zoom, tilts and rotation at its start, as far as they
-    are motorised; imported_from: source of imported images, empty for a scan; frame_tag_checksums: CRC-32C of all
-    bytes outside the pages in the file of each field, in the order of the fields, empty in datasets of older versions.
+    schema_version: format version, even when frame files may be compressed; bits: 8, or up to 16 stored in 16; taken:
+    start of the scan, ISO 8601; positioners: positions of light, objective, zoom, tilts and rotation at its start, as
+    far as they are motorised; imported_from: source of imported images, empty for a scan; frame_tag_checksums: CRC-32C
+    of all bytes outside the pages in the file of each field, in the order of the fields, empty in datasets of older
+    versions.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
-    schema_version: int = SCHEMA_VERSION
+    schema_version: int = version_of(SCHEMA, compressed=False)
     software_version: str
     taken: str
     rig: str = ""
@@ -77,7 +74,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     @property
     def is_compressed(self) -> bool:
         """True if frame files may be compressed."""
-        return self.schema_version == COMPRESSED_VERSION
+        return is_compressed(self.schema_version)
 
     @property
     def n_exposures(self) -> int:
@@ -158,28 +155,13 @@ def _record(folder: Path) -> ScanRecord:
     text = _record_text(folder)
     if text_state(text) is Checksum.DAMAGED:
         raise damaged(folder / RECORD)
-    version = _schema_version(text)
-    if version > COMPRESSED_VERSION:
+    version, newest = _schema_version(text), version_of(SCHEMA, compressed=True)
+    if version > newest:
         raise DatasetError(
-            f"{folder} has format {version} and this program reads formats up to {COMPRESSED_VERSION}: "
+            f"{folder} has format {version} and this program reads formats up to {newest}: "
             "open it with a newer Wafer Viewer."
         )
     return decode(strip_checksum(text), ScanRecord, str(folder / RECORD), "json")
-
-
-def set_version(folder: Path, version: int) -> None:
-    """Change the format version in ``scan.json`` and nothing else, atomically."""
-    text = _record_text(folder)
-    if (changed := with_version(text, version)) != text:
-        write_text(folder / RECORD, changed.decode())
-
-
-def with_version(text: bytes, version: int) -> bytes:
-    """Return the text of a ``scan.json`` with another format version, sealed if it was before."""
-    changed = _VERSION.sub(rb"\g<1>%d" % version, strip_checksum(text), count=1)
-    if text_state(text) is Checksum.NONE:
-        return changed
-    return sealed_text(changed.decode()).encode()
 
 
 def _record_text(folder: Path) -> bytes:

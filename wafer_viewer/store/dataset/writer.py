@@ -50,6 +50,7 @@ from wafer_viewer.store.dataset.scan_record import (
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove, require_space, to_disk
 from wafer_viewer.store.io.checksums import save_json
 from wafer_viewer.store.io.file_lock import ANNOUNCEMENT
+from wafer_viewer.store.io.format_version import raise_schema
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
 _OF_NEW_FOLDER = re.compile(
@@ -150,6 +151,7 @@ class DatasetWriter:
         lock = Lock.take(folder)
         with contextlib.ExitStack() as undo:
             undo.callback(lock.release)
+            raise_schema(folder)
             data.refresh()
             held = cls(folder, data.scan, lock, on_field_complete)
             held._mend_files()

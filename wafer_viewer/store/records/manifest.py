@@ -39,6 +39,7 @@ from wafer_viewer.store.io.checksums import (
     strip_checksum,
 )
 from wafer_viewer.store.io.file_lock import locked
+from wafer_viewer.store.io.format_version import raise_schema
 from wafer_viewer.store.records.signed_log import log_lengths
 from wafer_viewer.store.records.signing_key import (
     KEPT_IN,
@@ -261,6 +262,7 @@ def _noted(path: Path, content: bytes, *, anew: bool) -> Generator[None]:
     if not (place.of and place.is_of_dataset):
         yield
         return
+    raise_schema(place.dataset)
     with _locked(place):
         now = place.present()
         if place.path.is_file():

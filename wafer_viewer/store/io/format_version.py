@@ -1,0 +1,69 @@
+"""Format version of a dataset: the number of the keys of all that is stored in it, and whether it may be compressed.
+
+It stands in ``scan.json``, so that an older program says that it is too old, not that a file is damaged.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.checksums import MOST_RECORD_BYTES, Checksum, sealed_text, strip_checksum, text_state
+from wafer_viewer.store.io.guarded_reading import read_content
+
+SCHEMA = 1
+"""Number of the keys of all structs in a dataset: it rises with every key that is added, removed or renamed.
+
+tests/store/schemas.json holds the keys of each number.
+"""
+RECORD = "scan.json"
+_VERSION = re.compile(rb'("schema_version": ?)(\d{1,9})')
+_HEAD_BYTES = 256
+"""Bytes at the beginning of a record that hold its version."""
+
+
+def version_of(schema: int, *, compressed: bool) -> int:
+    """Return the format version of a schema: an odd number, or the next even one if frame files may be compressed."""
+    return 2 * schema - (not compressed)
+
+
+def is_compressed(version: int) -> bool:
+    """Return whether frame files of a dataset with a format version may be compressed."""
+    return version % 2 == 0
+
+
+def schema_of(version: int) -> int:
+    """Return the schema of a format version."""
+    return (version + 1) // 2
+
+
+def set_compressed(folder: Path, compressed: bool) -> None:
+    """Note in the record of a dataset whether frame files may be compressed, and nothing else, atomically."""
+    text = read_content(folder / RECORD, most=MOST_RECORD_BYTES)
+    if (found := _VERSION.search(text)) is not None:
+        _set_version(folder, version_of(schema_of(int(found[2])), compressed=compressed))
+
+
+def raise_schema(folder: Path) -> None:
+    """Raise the format version of an older dataset before something with the keys of this program is stored in it."""
+    if not (folder / RECORD).is_file():
+        return
+    with (folder / RECORD).open("rb") as file:
+        found = _VERSION.search(file.read(_HEAD_BYTES))
+    if found is not None and schema_of(version := int(found[2])) < SCHEMA:
+        _set_version(folder, version_of(SCHEMA, compressed=is_compressed(version)))
+
+
+def with_version(text: bytes, version: int) -> bytes:
+    """Return the text of a record with another format version, sealed if it was before."""
+    changed = _VERSION.sub(rb"\g<1>%d" % version, strip_checksum(text), count=1)
+    if text_state(text) is Checksum.NONE:
+        return changed
+    return sealed_text(changed.decode()).encode()
+
+
+def _set_version(folder: Path, version: int) -> None:
+    text = read_content(folder / RECORD, most=MOST_RECORD_BYTES)
+    if (changed := with_version(text, version)) != text:
+        write_text(folder / RECORD, changed.decode())
