@@ -16,6 +16,7 @@ from wafer_viewer.session.acquisition.headless import scan_to
 from wafer_viewer.session.planning.headless import job_of_wafer
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import frames_file
+from wafer_viewer.store.io.format_version import SCHEMA, version_of
 
 STORED = Path(__file__).parents[2] / "support" / "stored"
 KEPT = {"a16ad82": 41, "64568740": 40}
@@ -39,7 +40,7 @@ def test_stored_dataset_is_continued_checked_and_reconstructed(commit, tmp_path,
     assert (ended.error, ended.stopped, ended.words) == (None, False, "60 of 60 frames kept")
     assert all("keeps the values of recipe that it was started with" in text for text in warned)
     data = Dataset.open(path)
-    assert data.finished
+    assert (data.finished, data.scan.schema_version) == (True, version_of(SCHEMA, compressed=False))
     after = images_of(data, before)
     assert all(np.array_equal(after[shot], image) for shot, image in before.items())
     assert main(["check", str(path)]) == 0, capsys.readouterr()

@@ -134,7 +134,7 @@ def test_what_is_compressed_is_left_alone(data):
 def test_older_programs_say_why_they_cannot_open_it(data, monkeypatch):
     data.compress()
     monkeypatch.setattr(scan_record, "SCHEMA", 0)
-    with pytest.raises(DatasetError, match=r"has format 2 .* up to 0: open it with a newer Wafer Viewer"):
+    with pytest.raises(DatasetError, match=r"has format 4 .* up to 0: open it with a newer Wafer Viewer"):
         Dataset.open(data.path)
 
 

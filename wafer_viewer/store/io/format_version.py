@@ -12,7 +12,7 @@ from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import MOST_RECORD_BYTES, Checksum, sealed_text, strip_checksum, text_state
 from wafer_viewer.store.io.guarded_reading import read_content
 
-SCHEMA = 1
+SCHEMA = 2
 """Number of the keys of all structs in a dataset: it rises with every key that is added, removed or renamed.
 
 tests/store/schemas.json holds the keys of each number.

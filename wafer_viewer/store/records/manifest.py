@@ -175,6 +175,7 @@ class _Place:
 
     def write(self, manifest: Manifest) -> None:
         """Sign and write a manifest, with the logs as long as they are now, or once were."""
+        raise_schema(self.dataset)
         once, now = manifest.logs, log_lengths(self.data_folder)
         logs = {name: max(once.get(name, 0), now.get(name, 0)) for name in sorted(once.keys() | now.keys())}
         manifest = replace(manifest, logs=logs)
@@ -262,7 +263,6 @@ def _noted(path: Path, content: bytes, *, anew: bool) -> Generator[None]:
     if not (place.of and place.is_of_dataset):
         yield
         return
-    raise_schema(place.dataset)
     with _locked(place):
         now = place.present()
         if place.path.is_file():
