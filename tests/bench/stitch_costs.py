@@ -30,10 +30,11 @@ from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, blend_window
 from wafer_viewer.reconstruct.focus.focus_volume import on_threads
+from wafer_viewer.reconstruct.overlap_settlement import FieldsToPlace, OverlapObservers
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.pair_registration import refine, register
-from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
+from wafer_viewer.reconstruct.stitching import find_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 REGISTERED = Stitching(poses="registered", blend="confidence")

@@ -147,7 +147,8 @@ def _of_fields(table: Any, pairs: NDArray[np.int32]) -> Any:
 
 
 def _solve_poses(tasks: _Tasks, previous: PreviousSolution, final: bool) -> Poses:
-    from wafer_viewer.reconstruct.stitching import FieldsToPlace, OverlapObservers, find_poses
+    from wafer_viewer.reconstruct.overlap_settlement import FieldsToPlace, OverlapObservers
+    from wafer_viewer.reconstruct.stitching import find_poses
 
     inputs, stitching = tasks.inputs, tasks.inputs.recipe.stitching
     fields = FieldsToPlace.of(inputs.outlines, inputs.numbers, inputs.marks, stitching, previous, final=final)
