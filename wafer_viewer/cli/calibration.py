@@ -113,7 +113,7 @@ def calibrate_linearity(folder: DataFolder, rig: File = None, by: Text = None, w
     """
     from wafer_viewer.session.calibration.records import linearity_result
     from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
-    from wafer_viewer.session.gauge.signed_checks import trusted_checks
+    from wafer_viewer.session.gauge.gauge_check import trusted_checks
     from wafer_viewer.session.gauge.z_scale_correction import in_force, last_check
 
     by = _required_name(by, why, folder)

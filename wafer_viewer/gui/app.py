@@ -7,6 +7,7 @@ import errno
 import functools
 import gc
 import importlib
+import json
 import logging
 import logging.handlers
 import signal
@@ -14,21 +15,23 @@ import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import viser
 from websockets.asyncio.server import ServerConnection
 
-from wafer_viewer.gui.incoming import UploadStart
+from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES, UploadStart
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.uploads import refuse_upload
 from wafer_viewer.gui.security.server import close_server, connection_of, open_server
 from wafer_viewer.gui.shell.build_page import build_page
-from wafer_viewer.gui.shell.page_script import page_script
 from wafer_viewer.gui.widgets.controls import cache_prop_types
 from wafer_viewer.gui.widgets.error_guard import log
 from wafer_viewer.gui.widgets.html import quicken
+from wafer_viewer.gui.widgets.number_field import EMPTY
+from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.network_access import NetworkAccess
 from wafer_viewer.session.files.documents import read_report
@@ -213,3 +216,28 @@ def _free(host: str, port: int) -> int:
                 raise WaferViewerError(f"Port {port} is {why}: choose another with --port N.") from fault
             raise WaferViewerError(f"The address {host} cannot be used ({fault.strerror}): choose another.") from fault
         return trial.getsockname()[1]
+
+
+SCRIPTS = (
+    "events.js",
+    "accessible_names.js",
+    "clicks.js",
+    "file_dialog.js",
+    "number_fields.js",
+    "keyboard.js",
+    "live.js",
+    "lost_connection.js",
+    "browser_info.js",
+    "tour.js",
+)
+"""Scripts in this order: the file dialog and the number fields handle their keys before the keyboard script."""
+
+
+@cache
+def page_script() -> str:
+    """Return the scripts, each with names of its own, and the facts of the program that they use."""
+    facts = json.dumps({"optional": EMPTY, "mostUpload": MOST_UPLOAD_BYTES}).replace("<", "\\u003c")
+    parts = (f"{{\n{read_static(name)}}}" for name in SCRIPTS)
+    return "\n".join(
+        ("document.addEventListener('DOMContentLoaded', () => {", f"const FACTS = {facts};", *parts, "});")
+    )

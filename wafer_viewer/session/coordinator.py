@@ -30,8 +30,7 @@ from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, Library, free_name, today
 from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_jobs import FileJobs
-from wafer_viewer.session.files.frame_check import FrameCheck
-from wafer_viewer.session.files.frame_compression import FrameCompression
+from wafer_viewer.session.files.frame_check import FrameCheck, FrameCompression
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.inspection_files import DefectFiles

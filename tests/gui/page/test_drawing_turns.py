@@ -14,8 +14,7 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.fake_session import FakeSession
 from tests.support.plain_browser import PlainBrowser
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.page.drawing_turns import DrawingTurns
-from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.page import DrawingTurns, Page
 
 
 def test_only_one_page_of_those_who_look_on_draws_at_a_time() -> None:

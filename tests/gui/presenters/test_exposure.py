@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from html import unescape
 
-from wafer_viewer.gui.presenters.exposure import result
+from wafer_viewer.gui.plan.search_sections import result
 from wafer_viewer.model.acquisition.exposure import ExposureLevels, FoundExposure
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.job import Job

@@ -30,11 +30,11 @@ from tests.support.page_stand_in import (
 from tests.support.stage_props import Browser, RecordingScene
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.scene.camera_presets import Clear, direction_of, fit
-from wafer_viewer.gui.scene.plinth import block_items
 from wafer_viewer.gui.scene.reconciler import SceneItem, SceneReconciler
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.surface_tiles import VERTICES, cut, display_style_of
 from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.scenes.surface_scene import block_items
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling

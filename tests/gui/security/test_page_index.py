@@ -12,11 +12,10 @@ from urllib.parse import urlsplit
 import pytest
 import viser
 
-from wafer_viewer.gui.security import page_index
-from wafer_viewer.gui.security.access_guard import AccessGuard
-from wafer_viewer.gui.security.page_index import PageIndex
+from wafer_viewer.gui.app import SCRIPTS, page_script
+from wafer_viewer.gui.security import access_guard
+from wafer_viewer.gui.security.access_guard import AccessGuard, PageIndex
 from wafer_viewer.gui.security.server import open_server
-from wafer_viewer.gui.shell.page_script import SCRIPTS, page_script
 from wafer_viewer.gui.widgets.style import FOLDER
 from wafer_viewer.model.errors import WaferViewerError
 
@@ -54,8 +53,8 @@ def test_scripts_run_by_the_nonce_of_the_answer_and_by_nothing_else(server) -> N
 
 def test_a_page_whose_scripts_are_elsewhere_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = tmp_path / "index.html"
-    other.write_bytes(page_index.INDEX.read_bytes().replace(b"</head>", b"<script>1</script></head>"))
-    monkeypatch.setattr(page_index, "INDEX", other)
+    other.write_bytes(access_guard.INDEX.read_bytes().replace(b"</head>", b"<script>1</script></head>"))
+    monkeypatch.setattr(access_guard, "INDEX", other)
     with pytest.raises(WaferViewerError, match=r"its scripts could not be told from others.*viser here is"):
         PageIndex(SCRIPT)
 

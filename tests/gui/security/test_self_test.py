@@ -13,8 +13,7 @@ import pytest
 from wafer_viewer.cli.app import main
 from wafer_viewer.gui.security import server
 from wafer_viewer.gui.security.access_guard import AccessGuard, PlainAnswer
-from wafer_viewer.gui.security.self_test import require_refusals
-from wafer_viewer.gui.security.server import close_server, open_server
+from wafer_viewer.gui.security.server import close_server, open_server, require_refusals
 from wafer_viewer.model.errors import WaferViewerError
 
 

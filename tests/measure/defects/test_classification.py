@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.measure.defects.classification import classify
+from wafer_viewer.measure.defects.defect_builder import classify
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect_classes import RULES, ClassRules, DefectShape
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defects.classification import classify
+from wafer_viewer.measure.defects.defect_builder import classify
 from wafer_viewer.measure.defects.features import Gathered, height_of, outline_of, shape_of
 from wafer_viewer.measure.defects.segmentation import DefectPiece
 from wafer_viewer.measure.dies.die_cells import CellGrid

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.rigs.cameras.frame_numbers import FrameNumbers
+from wafer_viewer.rigs.cameras.base import FrameNumbers
 
 
 def counts(*ids):

@@ -227,7 +227,7 @@ def test_signed_checks_are_evaluated_without_a_motion(bench, monkeypatch):
     with pytest.raises(RigError, match="Bench 2 has no signed check against gauge blocks"):
         bench.calibration.run("linearity").result(PATIENCE_S)
     checks = [SimpleNamespace(rig=name, check=SimpleNamespace(simulated=True)) for name in ("Bench 1", "Bench 2")]
-    monkeypatch.setattr("wafer_viewer.session.gauge.signed_checks.trusted_checks", lambda folder: tuple(checks))
+    monkeypatch.setattr("wafer_viewer.session.gauge.gauge_check.trusted_checks", lambda folder: tuple(checks))
     seen = []
 
     def evaluate(own, base):

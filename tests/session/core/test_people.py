@@ -11,12 +11,12 @@ import pytest
 
 from wafer_viewer.model.errors import ControlHeldError, DatasetError, PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.roles import NEED_ENGINEER, refusal, role_for
-from wafer_viewer.session.core.attempt_limit import MOST_OF_ONE
 from wafer_viewer.session.core.audit_trail import AuditTrail
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, restricted_session
 from wafer_viewer.session.core.control_handover import Control
+from wafer_viewer.session.core.page_password import MOST_OF_ONE
 from wafer_viewer.session.core.people import NOT_RIGHT, add_person, listed_people, remove_person, signed_in
 from wafer_viewer.session.state.snapshot import ControlState, Snapshot
 from wafer_viewer.store.records.audit_log import recorded_actions

@@ -16,7 +16,7 @@ from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.files.frame_compression import FrameCompression
+from wafer_viewer.session.files.frame_check import FrameCompression
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import CODECS

@@ -15,7 +15,7 @@ from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, GaugeTerms
 from wafer_viewer.model.spec import decode, encode, replace
-from wafer_viewer.session.gauge.signed_checks import trusted_checks
+from wafer_viewer.session.gauge.gauge_check import trusted_checks
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.io.checksums import sealed_line, sealed_text, strip_checksum, verified_text
 from wafer_viewer.store.records.audit_log import AUDIT_LOG, record_action

@@ -10,7 +10,7 @@ from tests.support.datasets.samples import COLS, ROWS, SUMMARY, all_shots, make_
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset.dataset import Dataset, check_passes
-from wafer_viewer.store.dataset.journal_index import JournalIndex
+from wafer_viewer.store.dataset.frame_lines import JournalIndex
 from wafer_viewer.store.dataset.scan_record import JOURNAL
 from wafer_viewer.store.dataset.writer import DatasetWriter
 

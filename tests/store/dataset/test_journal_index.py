@@ -10,8 +10,8 @@ from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset import dataset as dataset_module
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.frame_lines import INDEX, JournalIndex
 from wafer_viewer.store.dataset.integrity import check_files
-from wafer_viewer.store.dataset.journal_index import INDEX, JournalIndex
 from wafer_viewer.store.dataset.scan_record import (
     JOURNAL,
     FaultNoted,

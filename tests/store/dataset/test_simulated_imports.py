@@ -16,9 +16,8 @@ from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.ome_header import StagePicture
+from wafer_viewer.store.dataset.ome_header import StagePicture, write_stage_picture
 from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
-from wafer_viewer.store.dataset.stage_picture import write_stage_picture
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.formats.readers import read_surface
 

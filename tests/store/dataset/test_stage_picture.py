@@ -12,9 +12,8 @@ import tifffile
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.dataset import stage_picture
-from wafer_viewer.store.dataset.ome_header import StagePicture
-from wafer_viewer.store.dataset.stage_picture import write_stage_picture
+from wafer_viewer.store.dataset import ome_header
+from wafer_viewer.store.dataset.ome_header import StagePicture, write_stage_picture
 
 IMAGE = np.random.default_rng(2).integers(0, 65535, (24, 32), np.uint16)
 PICTURE = StagePicture(
@@ -58,7 +57,7 @@ def test_a_failure_leaves_no_file(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(stage_picture, "picture_xml", full)
+    monkeypatch.setattr(ome_header, "picture_xml", full)
     with pytest.raises(DatasetError, match="the disk is full"):
         write_stage_picture(tmp_path, PICTURE)
     assert list(tmp_path.iterdir()) == []

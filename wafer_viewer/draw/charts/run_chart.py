@@ -1,4 +1,4 @@
-"""Run chart as HTML: errors of signed checks in order, each with its U, with tolerance and control limits.
+"""Charts of signed values in order as HTML: the run chart of the checks, and the history of a characteristic.
 
 Lines are in a stretched SVG, points and labels are placed over it in percent, so the chart fills its container.
 """
@@ -17,7 +17,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import ChartPoint, RunChart
 
 MOST_POINTS = 30
-"""Number of newest checks that are shown."""
+"""Number of newest values that are shown."""
 _ROOM = 0.08
 """Margin above and below the extreme values as a share of their range."""
 _MOST_Y, _MOST_X, _LABEL_PERCENT = 5, 10, 11.5
@@ -139,3 +139,48 @@ def _names(axes: Axes, lines: Sequence[_Line]) -> str:
                 down, line.colour, line.name
             )
     return words
+
+
+_MOST_DAYS = 8
+"""Most days that are named."""
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryPoint:
+    """Value with its U, its day as the label of the axis, and a sentence as its title."""
+
+    value: float
+    expanded: float
+    day: str
+    title: str
+
+
+def history_chart_html(points: Sequence[HistoryPoint], name: str, quantity: str) -> Markup:
+    """Return the chart of the newest values; quantity: title of the value axis, with its unit."""
+    points = points[-MOST_POINTS:]
+    axes = _history_axes(points)
+    uncertainties = "".join(
+        f"M{axes.x.at(k):.1f} {axes.y.at(p.value + p.expanded):.1f}V{axes.y.at(p.value - p.expanded):.1f}"
+        for k, p in enumerate(points)
+    )
+    course = "L".join(f"{axes.x.at(k):.1f} {axes.y.at(p.value):.1f}" for k, p in enumerate(points))
+    drawn = line_svg(uncertainties, "ink3", 1.6) + line_svg(f"M{course}", "accent", 1.6, Markup('opacity=".75"'))
+    dots = Markup("").join(
+        Markup('<u class="wv-dot still" style="left:{:.2f}%;top:{:.2f}%" title="{}"></u>').format(
+            axes.x.percent(k), axes.y.percent(p.value), p.title
+        )
+        for k, p in enumerate(points)
+    )
+    look = PlotLook(name, quantity, left_px=78, right_px=24, foot_px=22, classes="wv-run")
+    return plot_html(axes, look, drawn, dots)
+
+
+def _history_axes(points: Sequence[HistoryPoint]) -> Axes:
+    """Return the axes: values over the number of the calibration, each in the middle of its interval."""
+    ends = [p.value + side * p.expanded for p in points for side in (-1, 1)]
+    low, high = min(ends), max(ends)
+    room = _ROOM * (high - low) or 0.1 * abs(high) or 0.1
+    limits = low - room, high + room
+    every = -(-len(points) // _MOST_DAYS)
+    days: tuple[Tick, ...] = tuple((k, p.day) for k, p in enumerate(points) if k % every == 0)
+    return Axes.stretched((-0.5, len(points) - 0.5), limits, days, round_ticks(limits, _MOST_Y))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any, Literal
@@ -10,7 +11,7 @@ from typing import Any, Literal
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.gauge.gauge_dialogs import certificate_dialog, correct_dialog, sign_dialog
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui.gauge.gauge_displays import selected_check
 from wafer_viewer.gui.measure.live_measurement import Answering
 from wafer_viewer.gui.page.dialogs import Dialog
@@ -20,6 +21,7 @@ from wafer_viewer.gui.page.preconditions import require_step
 from wafer_viewer.gui.presenters import gauge as unsure
 from wafer_viewer.gui.presenters import gauge as words
 from wafer_viewer.gui.presenters.gauge import BY_HAND, METHODS, next_point, study
+from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.gui.widgets import html
@@ -32,6 +34,7 @@ from wafer_viewer.gui.widgets.controls import (
     button,
     command_button,
     controlled,
+    duo,
     in_a_row,
     leading,
     set_prop,
@@ -39,8 +42,8 @@ from wafer_viewer.gui.widgets.controls import (
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.widgets.style import by_id
-from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.gauge import GaugeCheck, Method
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, Method, ScaleCorrection
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -448,3 +451,141 @@ def _title(earlier: GaugeCheck | None) -> Markup:
     back = Markup('<span class="wv-action" {}>Back to this check</span>').format(html.pick("gauge-record", earlier.at))
     below = f"Signed by {earlier.signed_by}, {words.day_and_time(earlier.at)}."
     return html.title("Earlier check", below, back)
+
+
+WAIT_S = 20.0
+"""Timeout for a session command, which is awaited so that the dialog can show its error."""
+NOT_TAKEN = "The certificate was not loaded"
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """Input fields of a certificate."""
+
+    serials: Any
+    step: Any
+    expanded: Any
+    nominal: Any
+    laboratory: Any
+    number: Any
+    issued: Any
+    expires: Any
+
+
+def certificate_dialog(page: Page) -> None:
+    """Open the dialog that reads a certificate from a file or from input fields."""
+    dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
+    with dialog.modal:
+        files = FileList(dialog, "certificate", rows=3)
+        files.add_upload()
+        HtmlBlock(page.gui, html.head("Or type it in"))
+        form = _form(page, page.session.snapshot.gauge.certificate)
+
+    def take() -> None:
+        if not files.is_empty:
+            _wait(page.session.gauge.load_certificate(files.path()))
+        else:
+            _wait(page.session.gauge.put_certificate(_typed(form)))
+
+    dialog.answers("Use certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
+
+
+def sign_dialog(page: Page, check: GaugeCheck) -> None:
+    """Open the dialog that signs a check; it repeats verdict and error and asks for a name."""
+    word, _, tone = LOOKS[check.verdict]
+    dialog = Dialog(
+        page, "Sign this check?", "It is saved with the dataset and in the log of checks and cannot be changed."
+    )
+    error = with_unit(check.deviation.value_um, 3, signed=True)
+    summary = Markup('<b style="color:var(--{tone})">{word}</b> · error {error} · {n} scan{n2}').format(
+        tone=tone, word=word, error=error, n=check.n, n2="" if check.n == 1 else "s"
+    )
+    with dialog.modal:
+        HtmlBlock(page.gui, Markup('<div style="padding:2px 0 8px">{}</div>').format(summary))
+        name = page.gui.add_text("Signed by", page.browser.name or _operator(page))
+
+    def sign() -> None:
+        if not name.value.strip():
+            raise MeasureError("The signature is missing: type your name.")
+        _wait(page.session.gauge.sign(name.value.strip()))
+        page.change(check=None)
+
+    dialog.answers("Sign and save", viser.Icon.SIGNATURE, sign, "The check was not signed")
+
+
+def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
+    """Open the dialog that corrects the z scale; it shows the change and asks for a name and a reason."""
+    below = "Scans from now on are taken with the new scale. Datasets and signed checks stay as they are."
+    dialog = Dialog(page, "Correct the z scale?", below)
+    now = page.session.snapshot.rig.calibration
+    pairs = [
+        ("z scale now", number(now.z_scale, 6) if now is not None else "none"),
+        ("z scale then", number(offered.calibration.z_scale, 6)),
+        ("The checked step changes by", with_unit(offered.changes_um, 3, signed=True)),
+        ("Set against then", offered.calibration.against),
+    ]
+    with dialog.modal:
+        HtmlBlock(page.gui, html.pairs(pairs) + _warned(offered))
+        name = page.gui.add_text("Done by", page.browser.name or _operator(page))
+        why = page.gui.add_text("Reason", "")
+
+    def correct() -> None:
+        if not name.value.strip():
+            raise MeasureError("The name for the correction is missing: type your name.")
+        _wait(page.session.gauge.correct_scale(name.value.strip(), why.value.strip()))
+
+    dialog.answers("Correct the z scale", viser.Icon.ARROWS_VERTICAL, correct, "The z scale was not changed")
+
+
+def _warned(offered: ScaleCorrection) -> Markup:
+    same = "These blocks can no longer check this scale, because it was set with them. Use others."
+    return html.note("attention", same, offered.advice)
+
+
+def _form(page: Page, previous: Certificate | None) -> _Form:
+    gui, height = page.gui, previous.step if previous is not None else None
+    certified_um, u_um = (height.value_um, height.expanded_um) if height is not None else (None, None)
+    nominal_um = previous.step_nominal_um if previous is not None else None
+    duo(gui)
+    serials = gui.add_text("Blocks", " / ".join(previous.serials) if previous is not None else "")
+    number = gui.add_text("Number", previous.number if previous is not None else "")
+    duo(gui)
+    step = OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step")
+    expanded = OptionalNumber(gui, "U (k = 2), µm", u_um, over=0)
+    nominal = OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called")
+    laboratory = gui.add_text("Laboratory", previous.laboratory if previous is not None else "")
+    duo(gui)
+    issued = gui.add_text("Issued", previous.issued.isoformat() if previous is not None else "")
+    expires = gui.add_text("Valid until", previous.expires.isoformat() if previous is not None else "")
+    return _Form(serials, step, expanded, nominal, laboratory, number, issued, expires)
+
+
+def _typed(form: _Form) -> Certificate:
+    """Return the certificate entered in the form. Raises MeasureError for missing entries or invalid dates."""
+    return Certificate(
+        number=form.number.value.strip() or "typed in",
+        laboratory=form.laboratory.value.strip() or "not named",
+        issued=_day("issue", form.issued.value),
+        expires=_day("expiry", form.expires.value),
+        nominal_um=form.nominal.value or form.step.value,
+        value_um=form.step.value,
+        expanded_um=form.expanded.value,
+        serial_numbers=tuple(part.strip() for part in form.serials.value.split("/") if part.strip()),
+    )
+
+
+def _day(event: str, text: str) -> date:
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError as fault:
+        raise MeasureError(f"The day of {event} {text.strip()!r} is not a date: write it as 2027-03-14.") from fault
+
+
+def _operator(page: Page) -> str:
+    data = page.session.snapshot.dataset
+    sample = data.job.sample if data is not None else None
+    return sample.operator if sample is not None else ""
+
+
+def _wait(verb: Future[Any]) -> None:
+    verb.result(WAIT_S)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.page.drawing_turns import DrawingTurns
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.state import browser_storage
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 SETTLE_S = 0.9
 """Delay in s of a second draw after a change, when widgets moved by the user are at rest."""
-_TURNS = DrawingTurns()
-"""Turns of the pages of this process whose browsers only look on."""
 
 
 class Part(Protocol):
@@ -311,3 +309,56 @@ def _note(fault: Fault) -> Markup:
     away = Markup('<span class="wv-link" {}>dismiss</span>').format(pick("dismiss", fault.id))
     where = f"{fault.at} · {fault.where} · " if fault.where else f"{fault.at} · "
     return note("fault" if fault.needs_person else "attention", fault.title, fault.text, where + away, sign)
+
+
+_LOOK_S = 0.02
+"""Interval in s at which a page that waits for its turn looks whether it has to hurry."""
+_REST = 2.0
+"""Time that a turn leaves to others, in times of its drawing."""
+
+
+class DrawingTurns:
+    """Lets one page draw at a time, in the order in which they came, and those that have to hurry at any time.
+
+    All pages are drawn by threads of one process, of which Python runs one at a time. While a scan runs, each of its
+    ten states a second is due on every page.
+
+    A turn lasts three times as long as its drawing: the rest is for the pages that hurry and for the session.
+    """
+
+    def __init__(self) -> None:
+        self._moved = threading.Condition()
+        self._queue = deque[object]()
+        """Places of the pages that wait; the first one draws."""
+
+    def draw(self, draw: Callable[[], None], hurries: Callable[[], bool]) -> None:
+        """Draw in turn, or at once if the page hurries, which may begin while it waits."""
+        if hurries() or not self._comes_first(place := object(), hurries):
+            draw()
+            return
+        try:
+            begun_s = time.perf_counter()
+            draw()
+            time.sleep(_REST * (time.perf_counter() - begun_s))
+        finally:
+            self._leave(place)
+
+    def _comes_first(self, place: object, hurries: Callable[[], bool]) -> bool:
+        """Wait in the queue; return False, having left it, if the page hurries before its turn comes."""
+        with self._moved:
+            self._queue.append(place)
+            while self._queue[0] is not place:
+                self._moved.wait(_LOOK_S)
+                if hurries():
+                    self._queue.remove(place)
+                    return False
+        return True
+
+    def _leave(self, place: object) -> None:
+        with self._moved:
+            self._queue.remove(place)
+            self._moved.notify_all()
+
+
+_TURNS = DrawingTurns()
+"""Turns of the pages of this process whose browsers only look on."""

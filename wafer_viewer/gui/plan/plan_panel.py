@@ -15,11 +15,10 @@ import viser
 from wafer_viewer.gui.page.import_export_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
-from wafer_viewer.gui.plan.exposure_section import ExposureSection
-from wafer_viewer.gui.plan.follow_section import FollowSection
 from wafer_viewer.gui.plan.job_dialogs import job_table, jobs_dialog, load_job, required_job, start_dialog
 from wafer_viewer.gui.plan.operator_view import OperatorView, folded, unfold
 from wafer_viewer.gui.plan.release_section import ReleaseSection
+from wafer_viewer.gui.plan.search_sections import ExposureSection, FollowSection
 from wafer_viewer.gui.presenters import plan as preflight
 from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.state.view_state import View

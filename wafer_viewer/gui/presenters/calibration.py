@@ -8,7 +8,7 @@ from datetime import date
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.history_chart import MOST_POINTS, HistoryPoint, history_chart_html
+from wafer_viewer.draw.charts.run_chart import MOST_POINTS, HistoryPoint, history_chart_html
 from wafer_viewer.draw.number_format import NOTHING, number, share, value_and_u
 from wafer_viewer.gui.presenters.gauge import day
 from wafer_viewer.gui.widgets import html

@@ -11,10 +11,13 @@ import contextlib
 import hmac
 import http
 import http.cookies
+import secrets
 import socket
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
+import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
@@ -22,7 +25,7 @@ from websockets.http11 import Request, Response
 from wafer_viewer.gui.incoming import Refusal
 from wafer_viewer.gui.security import login
 from wafer_viewer.gui.security.login import Login
-from wafer_viewer.gui.security.page_index import PageIndex
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.network_access import EVERY_ADDRESS, LOOPBACK, NetworkAccess
 
 Answer = Callable[[ServerConnection, Request], Response | Awaitable[Response] | None]
@@ -216,3 +219,38 @@ def _hardened(response: Response) -> Response:
     for name, value in _HEADERS.items():
         response.headers[name] = value
     return response
+
+
+INDEX = Path(viser.__file__).parent / "client" / "build" / "index.html"
+_PACKED, _UNPACKED, _END = b"<script data-p=", b'const e=document.createElement("script");', b"</head>"
+
+
+class PageIndex:
+    """HTML of the page, with another nonce for each answer.
+
+    viser's page is one script that unpacks another and adds it to the page, so that both need the nonce.
+
+    script: that of the program. Raises WaferViewerError if viser's scripts are not where they are expected.
+    """
+
+    def __init__(self, script: str) -> None:
+        html = INDEX.read_bytes()
+        if [html.count(mark) for mark in (b"<script", _PACKED, _UNPACKED, _END)] != [1, 1, 1, 1]:
+            raise WaferViewerError(
+                "The page did not start, because its scripts could not be told from others: reinstall the program "
+                f"together with its dependencies (viser here is {viser.__version__})."
+            )
+        before, rest = html.split(_PACKED)
+        packed, rest = rest.split(_UNPACKED)
+        unpacking, rest = rest.split(_END)
+        self._parts = (
+            before + b'<script nonce="',
+            b'" data-p=' + packed + _UNPACKED + b'e.nonce="',
+            b'";' + unpacking + b'<script nonce="',
+            b'">' + script.encode() + b"</script>" + _END + rest,
+        )
+
+    def answer(self) -> tuple[bytes, str]:
+        """Return the page, and the nonce of its scripts."""
+        nonce = secrets.token_urlsafe(16)
+        return nonce.encode().join(self._parts), nonce

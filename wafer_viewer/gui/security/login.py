@@ -17,8 +17,7 @@ from markupsafe import Markup
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from wafer_viewer.session.core.attempt_limit import WINDOW_S, AttemptLimit
-from wafer_viewer.session.core.page_password import PasswordHash
+from wafer_viewer.session.core.page_password import WINDOW_S, AttemptLimit, PasswordHash
 
 PATH = "/login"
 _STYLE = (

@@ -25,6 +25,7 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import Within
 from wafer_viewer.rigs.cameras.base import (
     NO_TIME,
+    FrameNumbers,
     GenICamOptions,
     Trigger,
     import_library,
@@ -34,7 +35,6 @@ from wafer_viewer.rigs.cameras.base import (
     require_software_trigger,
     select_device,
 )
-from wafer_viewer.rigs.cameras.frame_numbers import FrameNumbers
 from wafer_viewer.rigs.cameras.pixel_formats import decode_image, format_of
 
 MEND = "as root: apt-get install gir1.2-aravis-0.8 python3-gi"

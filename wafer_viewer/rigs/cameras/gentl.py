@@ -16,6 +16,7 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import NonNegative
 from wafer_viewer.rigs.cameras.base import (
     NO_TIME,
+    FrameNumbers,
     GenICamOptions,
     Trigger,
     import_library,
@@ -25,7 +26,6 @@ from wafer_viewer.rigs.cameras.base import (
     require_software_trigger,
     select_device,
 )
-from wafer_viewer.rigs.cameras.frame_numbers import FrameNumbers
 from wafer_viewer.rigs.cameras.pixel_formats import decode_image, format_of
 
 MEND = "pip install 'wafer-viewer[gentl]'"

@@ -21,8 +21,7 @@ from wafer_viewer.rigs.composed.devices import DevicesConfig
 from wafer_viewer.rigs.composed.positioners import ObjectiveConfig
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.serial_ports import ReopenedPort, SystemClock, open_port
-from wafer_viewer.rigs.stages.controller_positioner import ControllerPositioner
-from wafer_viewer.rigs.stages.controller_stage import ControllerStage
+from wafer_viewer.rigs.stages.controller_stage import ControllerPositioner, ControllerStage
 from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, MotionController
 from wafer_viewer.rigs.virtual.positioners import SimulatedPositioner

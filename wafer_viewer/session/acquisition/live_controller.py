@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from wafer_viewer.acquire.focus_search import FocusFound, GoToFocus
 from wafer_viewer.acquire.hand_drive import JogVelocity
@@ -25,9 +25,7 @@ from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.state.live_state import FocusTrace, LiveFrame, LivePlace
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
-
-if TYPE_CHECKING:
-    from wafer_viewer.store.dataset.ome_header import StagePicture
+from wafer_viewer.store.dataset.ome_header import StagePicture
 
 FIRST_EXPOSURE_US = 100.0
 """Exposure without a plan."""
@@ -139,7 +137,7 @@ class LiveController:
         The file has all bits of the camera, with place, exposure, pixel size and time in its OME-XML; none is ever
         overwritten. Raises RigError before the first frame, DatasetError if the folder cannot be written to.
         """
-        from wafer_viewer.store.dataset.stage_picture import write_stage_picture
+        from wafer_viewer.store.dataset.ome_header import write_stage_picture
 
         frame, now = self._look.frame, self._command_queue.now
         if frame is None:

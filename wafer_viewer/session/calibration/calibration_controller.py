@@ -170,7 +170,7 @@ class CalibrationController:
     def _evaluated(self, kind: CalibrationKind, one: KindOfCalibration, base: Calibration) -> PendingCalibration:
         """Evaluate the signed checks of this rig."""
         from wafer_viewer.session.calibration.records import FROM_CHECKS
-        from wafer_viewer.session.gauge.signed_checks import trusted_checks
+        from wafer_viewer.session.gauge.gauge_check import trusted_checks
 
         name = self._command_queue.now.rig.name
         checks = [record for record in trusted_checks(self._folder) if record.rig == name]

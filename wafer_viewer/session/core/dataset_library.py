@@ -24,12 +24,12 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
 from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, FrameStorage, OpenDataset, SurfaceInfo
 from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.dataset.retention import read_rule
 from wafer_viewer.store.io.checksums import sealed_text, verified_text
 from wafer_viewer.store.mosaic.layout import SURFACE
 from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 from wafer_viewer.store.records.manifest import load_record, require_as_saved, save_record_text
-from wafer_viewer.store.records.retention_rule import read_rule
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.dataset import Dataset

@@ -9,7 +9,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.retention import RetentionRule
 from wafer_viewer.session.core.dataset_library import ACCEPTED, ENDING, today, verdict_word
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.retention_rule import RULE, required_rule
+from wafer_viewer.store.dataset.retention import RULE, required_rule
 
 
 @dataclass(frozen=True, slots=True)

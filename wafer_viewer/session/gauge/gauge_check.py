@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -126,3 +126,19 @@ def capability_of(
     if latest is not None:
         records = [*_others(records, latest.repeats), GaugeRecord(check=replace(latest, at=now()))]
     return capability(errors_of_scans(same_scale(records)), tolerance_um)
+
+
+def trusted_checks(folder: Path, serials: Iterable[str] = ()) -> tuple[GaugeRecord, ...]:
+    """Return the signed checks of a data folder, oldest first, optionally for one set of serial numbers.
+
+    Raises DatasetError when the log is damaged or was altered, or a check contradicts its own numbers.
+    """
+    from wafer_viewer.measure.gauge.gauge_check import contradiction
+    from wafer_viewer.store.records.gauge_records import GAUGE_LOG, signed_checks
+
+    records = signed_checks(folder, serials)
+    for record in records:
+        if (fault := contradiction(record.check)) is not None:
+            which = f"the check of {record.check.at} by {record.check.signed_by}"
+            raise DatasetError(f"{folder / GAUGE_LOG}: {which} was altered: {fault}. Restore the log from a copy.")
+    return records

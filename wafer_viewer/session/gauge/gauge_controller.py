@@ -219,7 +219,7 @@ class GaugeController:
         )
 
     def _records(self, certificate: Certificate | None) -> tuple[GaugeRecord, ...]:
-        from wafer_viewer.session.gauge.signed_checks import trusted_checks
+        from wafer_viewer.session.gauge.gauge_check import trusted_checks
 
         if certificate is None:
             return ()

@@ -12,7 +12,7 @@ from wafer_viewer.model.gauge import Capability, Certificate, GaugeCheck, GaugeR
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.session.core.audit_trail import record
 from wafer_viewer.session.gauge import gauge_check as work
-from wafer_viewer.session.gauge.signed_checks import trusted_checks
+from wafer_viewer.session.gauge.gauge_check import trusted_checks
 from wafer_viewer.session.state.inspection_state import Faces
 from wafer_viewer.session.surface.headless import is_dataset
 from wafer_viewer.store.dataset.dataset import Dataset

@@ -11,7 +11,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import GaugeRecord, ScaleCorrection
 from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
 from wafer_viewer.session.core.dataset_library import today
-from wafer_viewer.session.gauge.signed_checks import trusted_checks
+from wafer_viewer.session.gauge.gauge_check import trusted_checks
 from wafer_viewer.store.records.gauge_records import calibration_in_force
 
 

@@ -12,7 +12,7 @@ from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord
 from wafer_viewer.model.spec import Spec
-from wafer_viewer.session.gauge.signed_checks import trusted_checks
+from wafer_viewer.session.gauge.gauge_check import trusted_checks
 from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.audit_log import AUDIT_LOG

@@ -191,14 +191,14 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
 
 
 def _pictures(material: Material) -> ReportSection:
-    from wafer_viewer.session.reporting.pictures import taken_picture
+    from wafer_viewer.session.reporting.sections import taken_picture
 
     figures = tuple(Figure(taken_picture(picture), picture.stem) for picture in material.pictures)
     return ReportSection(PART_TITLES["pictures"], figures=figures, empty="No pictures were taken at print size.")
 
 
 def _surface(material: Material) -> ReportSection:
-    from wafer_viewer.session.reporting.pictures import whole_picture
+    from wafer_viewer.session.reporting.sections import whole_picture
 
     info, title = material.info, PART_TITLES["surface"]
     if info is None:

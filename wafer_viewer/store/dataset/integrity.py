@@ -17,7 +17,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
-from wafer_viewer.store.dataset.journal_index import INDEX
+from wafer_viewer.store.dataset.frame_lines import INDEX
 from wafer_viewer.store.dataset.result import DRAWING, FINDINGS, MOSAIC, POSES, SURFACES, Result
 from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, JournalReader
 from wafer_viewer.store.io.atomic_files import files_below, natural_sort_key, size

@@ -1,4 +1,4 @@
-"""OME-XML of frames: what other programs read in the first page of a file (OME schema 2016-06).
+"""OME-XML of frames: what other programs read in the first page of a file (OME schema 2016-06), also of one picture.
 
 A slot without a frame has neither a TiffData nor a Plane element: its page is empty, not black. PositionX, Y and Z are
 stage positions at mid-exposure, as in the journal; PhysicalSizeZ is the planned step times the calibrated z scale.
@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from xml.etree import ElementTree
 
+from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.calibration import OpticalSetup, engraved_aperture
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.store.dataset.scan_record import FrameKept, ScanRecord
+from wafer_viewer.store.io.atomic_files import atomic_write, new_file
 
 NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
 MICROMETER, MICROSECOND = "\N{MICRO SIGN}m", "\N{MICRO SIGN}s"
@@ -252,3 +256,33 @@ def _number(value: float) -> str:
 def _text(text: str) -> str:
     """Return a text without what XML cannot hold, cut to a length that fits."""
     return "".join(c for c in text if c.isprintable())[:_MAX_TEXT]
+
+
+_UM_PER_CM = 1e4
+
+
+def write_stage_picture(folder: Path, picture: StagePicture) -> Path:
+    """Write a picture into a folder as ``live-picture-3.ome.tif``, the first free number; return its path.
+
+    Raises DatasetError when the folder cannot be written to.
+    """
+    import tifffile
+
+    path = new_file(folder, "live-picture", ".ome.tif")
+    per_cm = None if picture.pixel_um is None else _UM_PER_CM / picture.pixel_um
+    with ExitStack() as on_failure:
+        on_failure.callback(path.unlink, missing_ok=True)
+        with atomic_write(path) as temporary:
+            tifffile.imwrite(
+                temporary,
+                picture.image,
+                byteorder="<",
+                photometric="minisblack",
+                description=picture_xml(picture, __version__),
+                metadata=None,
+                resolution=None if per_cm is None else (per_cm, per_cm),
+                resolutionunit="NONE" if per_cm is None else "CENTIMETER",
+                software=False,
+            )
+        on_failure.pop_all()
+    return path

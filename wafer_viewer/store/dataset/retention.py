@@ -1,15 +1,19 @@
-"""Removal of the frames of a dataset, and holds that forbid it; both are lines of its journal.
+"""Frames of a dataset: the time for which they are kept, their removal, and holds that forbid it.
 
-The line of a removal is on the disk before the first file goes, so a removal that is broken off is known, and can be
-finished. Everything else stays: record, journal, surfaces, results and their manifests.
+Removals and holds are lines of its journal. The line of a removal is on the disk before the first file goes, so a
+removal that is broken off is known, and can be finished. Everything else stays: record, journal, surfaces, results and
+their manifests.
 """
 
 from __future__ import annotations
 
 import datetime
+from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.model.retention import RetentionRule
+from wafer_viewer.model.spec import decode
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.scan_record import (
@@ -23,6 +27,7 @@ from wafer_viewer.store.dataset.scan_record import (
     frames_file,
 )
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, to_disk
+from wafer_viewer.store.io.guarded_reading import read_content
 from wafer_viewer.store.records.manifest import sign_scan
 
 
@@ -119,3 +124,20 @@ def _reason(why: str) -> str:
 
 def _now() -> str:
     return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+RULE = "retention.toml"
+
+
+def read_rule(folder: Path) -> RetentionRule:
+    """Return the setting of a data folder; frames are kept for ever without one, and if it cannot be read."""
+    try:
+        return required_rule(folder)
+    except DatasetError:
+        return RetentionRule()
+
+
+def required_rule(folder: Path) -> RetentionRule:
+    """Return the setting of a data folder, the default without one. Raises DatasetError when it cannot be read."""
+    path = folder / RULE
+    return decode(read_content(path), RetentionRule, path.name) if path.is_file() else RetentionRule()

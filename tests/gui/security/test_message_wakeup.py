@@ -10,7 +10,7 @@ from viser import _messages as messages
 from viser.infra import _infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-from wafer_viewer.gui.message_wakeup import LoopWokenBuffer, wake_senders_on_their_loop
+from wafer_viewer.gui.security.server import LoopWokenBuffer, wake_senders_on_their_loop
 
 N_THREADS, N_MESSAGES = 4, 50
 
