@@ -33,7 +33,7 @@ from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, QUICK_PX, WAFER_PX, big_
 from tests.bench.page_driver import CHANGED, PATIENCE_S, Seat, Viewer, seats
 from tests.bench.tables import met, show
 from tests.browser.steps import put, set_numbers, text_field
-from wafer_viewer.compute.task_runner import crew_for
+from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 

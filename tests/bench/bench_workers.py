@@ -30,8 +30,9 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
+from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.dask_cluster import client_of
-from wafer_viewer.compute.task_runner import DaskRunner, Done, Task, TaskRunner, crew_for
+from wafer_viewer.compute.task_runner import DaskRunner, Done, Task, TaskRunner
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.job import Job

@@ -20,8 +20,8 @@ import pytest
 from tests.support.command_line import viewer
 from tests.support.datasets import worker_tasks
 from tests.support.paths import ROOT
+from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.dask_cluster import client_of
-from wafer_viewer.compute.task_runner import crew_for
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.stack_import import import_dataset

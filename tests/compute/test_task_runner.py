@@ -13,8 +13,9 @@ from distributed.comm import CommClosedError
 from tests.support.datasets import worker_tasks
 from wafer_viewer.compute import dask_cluster
 from wafer_viewer.compute.compute_client import Compute
+from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.messages import Progressed, WarmUp
-from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner, crew_for
+from wafer_viewer.compute.task_runner import DaskRunner, LocalRunner
 from wafer_viewer.compute.worker_environment import FORKS
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.session.surface.kernel_build import WARM_UP

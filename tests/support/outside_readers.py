@@ -41,7 +41,6 @@ from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.session.core.dataset_library import load_summary
 from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.session_restore import SessionRestore
-from wafer_viewer.store.dataset.compression import compress
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.image_files import pictures, preview
 from wafer_viewer.store.dataset.lock import holder_of
@@ -196,7 +195,7 @@ def _dataset(folder: Path) -> list[OutsideReader]:
     frames = sorted((data / "frames").glob("*.tif"))
     packed = folder / "packed.wafer"
     shutil.copytree(data, packed)
-    compress(packed, "deflate")
+    Dataset.open(packed).compress("deflate")
     number = Dataset.open(data).fields[0].number
 
     def opened(path: Path) -> Dataset:

@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -284,19 +284,3 @@ def _cancel_each(futures: Iterable[Any]) -> None:
 def _require_going(should_stop: ShouldStop, done: int, total: int) -> None:
     if should_stop():
         raise ComputeError(f"The work was stopped at {done} of {total}; what was done is kept.")
-
-
-@contextmanager
-def crew_for(scheduler: str | None = None, workers: int = 1) -> Generator[TaskRunner]:
-    """Yield a runner in this process for one worker without a scheduler, else one on a running or local cluster.
-
-    scheduler: tls://HOST:PORT of a running cluster. Raises ComputeError if it is not available.
-    """
-    if scheduler is None and workers == 1:
-        yield LocalRunner()
-        return
-    require_tls(scheduler)
-    from wafer_viewer.compute.dask_cluster import client_of
-
-    with client_of(scheduler, workers) as client:
-        yield DaskRunner(client)

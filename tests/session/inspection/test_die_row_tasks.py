@@ -11,7 +11,8 @@ import psutil
 import pytest
 
 from tests.support.datasets.patterned_dataset import PLANTED, patterned_dataset
-from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner, crew_for
+from wafer_viewer.compute.crews import crew_for
+from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
 from wafer_viewer.measure.defects.golden_die import ReferenceDie
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.measure.defects.matched_filters import BINS

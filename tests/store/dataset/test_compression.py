@@ -163,8 +163,8 @@ def test_progress_reaches_the_end_in_order(data):
 @pytest.mark.slow
 @pytest.mark.campaign
 def test_a_killed_compression_leaves_a_readable_dataset_at_every_moment(data, original):
-    code = "import sys; from wafer_viewer.store.dataset.compression import compress\n"
-    code += "for codec in ('zstd', 'none') * 50: compress(sys.argv[1], codec, lambda _: print(flush=True))"
+    code = "import sys; from wafer_viewer.store.dataset.dataset import Dataset\n"
+    code += "for codec in ('zstd', 'none') * 50: Dataset.open(sys.argv[1]).compress(codec, lambda _: print(flush=True))"
     seen = set()
     for seed in range(6):
         with subprocess.Popen([sys.executable, "-c", code, str(data.path)], stdout=subprocess.PIPE) as process:

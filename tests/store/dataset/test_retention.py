@@ -11,7 +11,6 @@ import pytest
 from tests.store.dataset.test_damaged_frames import take
 from tests.support.datasets.samples import make_job, make_plan
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.dataset.compression import compress
 from wafer_viewer.store.dataset.damaged_frames import find_damage
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
@@ -63,7 +62,7 @@ def test_nothing_works_with_removed_frames_and_says_who_removed_them(scan):
     for use in (
         lambda: Dataset.open(scan).stack(1),
         lambda: DatasetWriter.resume(scan),
-        lambda: compress(scan),
+        lambda: Dataset.open(scan).compress(),
         lambda: hold_line(Dataset.open(scan), "Ann", "a reason"),
     ):
         with pytest.raises(DatasetError, match=why):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
+import socket
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,7 +100,8 @@ def network_access(folder: Path, asked: NetworkOptions) -> NetworkAccess | None:
     from wafer_viewer.session.core.page_certificate import page_certificate  # 50 ms that loopback does without
 
     password = _password(folder, asked, given)
-    return NetworkAccess(page_certificate(folder, asked.host, asked.certificate, asked.certificate_key), password)
+    name = socket.gethostname() if asked.host in EVERY_ADDRESS else asked.host
+    return NetworkAccess(page_certificate(folder, name, asked.certificate, asked.certificate_key), password)
 
 
 def _password(folder: Path, asked: NetworkOptions, given: str | None) -> PasswordHash:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import os
-import socket
 import ssl
 import stat
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from wafer_viewer.model.errors import DatasetError, PlanError
-from wafer_viewer.session.core.network_access import EVERY_ADDRESS
 from wafer_viewer.session.core.private_file import read_private, replace_private
 from wafer_viewer.session.session_restore import KEPT_IN
 
@@ -52,7 +50,7 @@ def page_certificate(folder: Path, host: str, certificate: Path | None, key: Pat
     folder
         The data folder, where a self-signed certificate is stored.
     host
-        Address or name that browsers use; an address for all interfaces stands for the name of this machine.
+        Address or name that browsers use.
     certificate, key
         PEM files; without both, a self-signed certificate is made, and made again when it ends soon or is for another
         host.
@@ -101,9 +99,8 @@ def _read(path: Path) -> bytes:
 
 
 def _names(host: str) -> list[x509.GeneralName]:
-    """Return the names that a self-signed certificate is for: the host, or this machine's name, and loopback."""
-    own = socket.gethostname() if host in EVERY_ADDRESS else host
-    return [_name(name) for name in dict.fromkeys((own, "localhost", "127.0.0.1"))]
+    """Return the names that a self-signed certificate is for: the host, and loopback."""
+    return [_name(name) for name in dict.fromkeys((host, "localhost", "127.0.0.1"))]
 
 
 def _name(text: str) -> x509.GeneralName:

@@ -152,7 +152,6 @@ def _two_figures(u: float) -> str:
 
 def _place(material: Material, finding: AnyResult) -> str:
     """Return a picture of the region of a result, if it was measured on the stitched surface."""
-
     box, info = bounds_um(finding), material.info
     if box is None or info is None or finding.show != 0:
         return ""
@@ -349,7 +348,6 @@ def _row(defect: Defect) -> tuple[str, ...]:
 
 def _figures(material: Material, inspection: Inspection, largest: list[Defect]) -> Iterator[Figure]:
     """Yield the map of dies, the Pareto chart, and pictures of the largest defects."""
-
     if dies := defect_map_svg(inspection):
         yield Figure("", f"Defects on each die: {kinds_text(inspection.dies)}.", svg=dies)
     if inspection.found:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.dask_worker import attempt
-from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, crew_for, n_local_workers, require_tls
+from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, n_local_workers, require_tls
 from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress

@@ -59,9 +59,9 @@ def compress_frames(
     dataset: Path, codec: str, *, progress: Progress = silent, should_stop: ShouldStop = never
 ) -> CompressionReport:
     """Compress the frames of a dataset without loss; the fields that are done stay so when it is stopped."""
-    from wafer_viewer.store.dataset.compression import compress
+    from wafer_viewer.store.dataset.dataset import Dataset
 
-    return compress(dataset, codec, progress, should_stop)
+    return Dataset.open(dataset).compress(codec, progress, should_stop)
 
 
 def find_damaged_frames(

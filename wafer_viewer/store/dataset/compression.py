@@ -12,14 +12,14 @@ import zlib
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.model.progress import Progress, ShouldStop, silent
 from wafer_viewer.store.dataset.frame_pages import (
     CODECS,
     PageShape,
@@ -35,7 +35,7 @@ from wafer_viewer.store.dataset.frame_pages import (
 )
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.ome_header import ome_xml
-from wafer_viewer.store.dataset.scan_record import FRAMES, FrameKept, frames_file
+from wafer_viewer.store.dataset.scan_record import FRAMES, FrameKept, ScanRecord, frames_file
 from wafer_viewer.store.io.atomic_files import atomic_write, remove, require_space
 from wafer_viewer.store.io.checksums import remedy
 from wafer_viewer.store.io.format_version import set_compressed
@@ -55,15 +55,41 @@ class CompressionReport:
     left: tuple[str, ...]
 
 
-def compress(
-    path: str | Path, codec: str = "zstd", progress: Progress | None = None, should_stop: ShouldStop | None = None
-) -> CompressionReport:
+class StoredFrames(Protocol):
+    """Frames of a dataset on disk, with their record and their journal."""
+
+    path: Path
+    scan: ScanRecord
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """Planned fields."""
+        ...
+
+    def require_frames(self, what: str) -> None:
+        """Raise DatasetError, which begins with `what`, if the frames were removed."""
+        ...
+
+    def refresh(self) -> None:
+        """Read the journal's new lines."""
+        ...
+
+    def journal_lines(self, field: Field) -> list[FrameKept]:
+        """Return the journal lines of a field's frames."""
+        ...
+
+    def frame_bytes(self) -> int:
+        """Return the size of all frame files in bytes."""
+        ...
+
+
+def compress(data: StoredFrames, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
     """Compress the frames of a dataset without loss, one field after the other.
 
     Parameters
     ----------
-    path
-        The dataset; no scan may be writing to it.
+    data
+        The dataset, opened for this; no scan may be writing to it.
     codec
         ``"zstd"``, ``"deflate"``, ``"jpeg2000"``, or ``"none"`` to decompress.
     progress, should_stop
@@ -82,27 +108,25 @@ def compress(
     """
     if codec not in CODECS:
         raise DatasetError(f"There is no codec '{codec}': choose one of {', '.join(CODECS)}.")
-    folder = Path(path)
-    data = Dataset.open(folder)
-    if not (folder / FRAMES).is_dir():
-        raise DatasetError(f"{folder.name} is a surface without its frames: there is nothing to compress.")
+    if not (data.path / FRAMES).is_dir():
+        raise DatasetError(f"{data.path.name} is a surface without its frames: there is nothing to compress.")
     data.require_frames("There is nothing to compress")
-    lock = Lock.take(folder)
+    lock = Lock.take(data.path)
     try:
         data.refresh()
-        return _compress(data, codec, progress or silent, should_stop or never)
+        return _compress(data, codec, progress, should_stop)
     finally:
         lock.release()
 
 
-def decompress_fields(data: Dataset, fields: Sequence[Field]) -> None:
+def decompress_fields(data: StoredFrames, fields: Sequence[Field]) -> None:
     """Decompress the files of some fields, so that frames can be written into them; the caller holds the lock."""
     for field in fields:
         if compression_of(frames_file(data.path, field), data.scan.pages(field)) != "none":
             _replace(data, field, "none", silent)
 
 
-def rewrite_field(data: Dataset, field: Field) -> None:
+def rewrite_field(data: StoredFrames, field: Field) -> None:
     """Write the uncompressed file of a field again from its frames; the caller holds the lock.
 
     Raises DatasetError when one of them is damaged.
@@ -110,7 +134,7 @@ def rewrite_field(data: Dataset, field: Field) -> None:
     _replace(data, field, "none", silent)
 
 
-def write_headers(data: Dataset, changed: Container[int] = ()) -> None:
+def write_headers(data: StoredFrames, changed: Container[int] = ()) -> None:
     """Write the OME-XML of the fields that have none yet, and of those with changed frames, by number.
 
     The caller holds the lock. Files without room for it, and damaged ones, are left as they are.
@@ -123,7 +147,7 @@ def write_headers(data: Dataset, changed: Container[int] = ()) -> None:
             write_header(path, data.scan.pages(field), ome_xml(data.scan, field, lines), checksums.get(field.number))
 
 
-def _compress(data: Dataset, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
+def _compress(data: StoredFrames, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
     _remove_partial_files(data.path / FRAMES)
     before = data.frame_bytes()
     pending, left = _pending(data, codec)
@@ -161,7 +185,7 @@ class _DamagedFrames(DatasetError):
     """Frames that differ from their checksums, in a file that is to be replaced."""
 
 
-def _pending(data: Dataset, codec: str) -> tuple[list[Field], list[str]]:
+def _pending(data: StoredFrames, codec: str) -> tuple[list[Field], list[str]]:
     """Return the fields whose files have another compression, and a sentence for each file that cannot be read."""
     pending: list[Field] = []
     left: list[str] = []
@@ -176,18 +200,18 @@ def _pending(data: Dataset, codec: str) -> tuple[list[Field], list[str]]:
     return pending, left
 
 
-def _are_tags_good(data: Dataset, field: Field) -> bool:
+def _are_tags_good(data: StoredFrames, field: Field) -> bool:
     expected = data.scan.tags_crc32c().get(field.number)
     return expected in (None, tags_crc32c(frames_file(data.path, field), data.scan.pages(field)))
 
 
-def _growth(data: Dataset, pending: Sequence[Field]) -> int:
+def _growth(data: StoredFrames, pending: Sequence[Field]) -> int:
     """Return the free bytes that decompression needs: the growth of all files, and a copy of the largest one."""
     stored = [frames_file(data.path, field).stat().st_size for field in pending]
     return sum(data.scan.pages(field).file_bytes for field in pending) - sum(stored) + max(stored, default=0)
 
 
-def _replace(data: Dataset, field: Field, codec: str, tick: Progress) -> None:
+def _replace(data: StoredFrames, field: Field, codec: str, tick: Progress) -> None:
     """Replace the file of a field by one with another compression, after a check of every frame in both."""
     path, shape = frames_file(data.path, field), data.scan.pages(field)
     lines = data.journal_lines(field)
@@ -209,7 +233,7 @@ def _replace(data: Dataset, field: Field, codec: str, tick: Progress) -> None:
         _require_read_back(data, temporary, shape, lines)
 
 
-def _good_pages(data: Dataset, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> Image:
+def _good_pages(data: StoredFrames, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> Image:
     """Return the pages of a file that is to be replaced. Raises _DamagedFrames when one of them is damaged."""
     try:
         pages = map_pages(path, shape)
@@ -220,7 +244,7 @@ def _good_pages(data: Dataset, path: Path, shape: PageShape, lines: Sequence[Fra
     return pages
 
 
-def _require_read_back(data: Dataset, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> None:
+def _require_read_back(data: StoredFrames, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> None:
     """Raise DatasetError when a frame of a new file differs from its checksum in the journal."""
     if (page := _first_damaged(data, map_pages(path, shape), lines)) is not None:
         raise DatasetError(
@@ -229,19 +253,19 @@ def _require_read_back(data: Dataset, path: Path, shape: PageShape, lines: Seque
         )
 
 
-def _first_damaged(data: Dataset, pages: Image, lines: Sequence[FrameKept]) -> int | None:
+def _first_damaged(data: StoredFrames, pages: Image, lines: Sequence[FrameKept]) -> int | None:
     """Return the first page that differs from its checksum in the journal, None if there is none."""
     by_page = {data.scan.page_of(line.shot.k, line.shot.exposure): line.crc32 for line in lines}
     return next((page for page, image in _present(data, pages, lines) if zlib.crc32(image.data) != by_page[page]), None)
 
 
-def _present(data: Dataset, pages: Image, lines: Sequence[FrameKept]) -> Iterator[tuple[int, Image]]:
+def _present(data: StoredFrames, pages: Image, lines: Sequence[FrameKept]) -> Iterator[tuple[int, Image]]:
     """Yield number and image of every page that has a frame."""
     for page in sorted(data.scan.page_of(line.shot.k, line.shot.exposure) for line in lines):
         yield page, pages[page]
 
 
-def _parts(data: Dataset, pages: Image, lines: Sequence[FrameKept], tick: Progress) -> Iterator[Image]:
+def _parts(data: StoredFrames, pages: Image, lines: Sequence[FrameKept], tick: Progress) -> Iterator[Image]:
     """Yield a few pages at a time; those without a frame that counts are black, as in a new file."""
     present = np.zeros(len(pages), bool)
     present[[data.scan.page_of(line.shot.k, line.shot.exposure) for line in lines]] = True

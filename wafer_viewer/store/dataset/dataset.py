@@ -24,10 +24,9 @@ from wafer_viewer.model.acquisition.flat_field import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Image
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
-from wafer_viewer.store.dataset.frame_lines import FrameLines
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent, with_progress
+from wafer_viewer.store.dataset.frame_lines import LONG_LINES, FrameLines, JournalIndex
 from wafer_viewer.store.dataset.frame_pages import map_pages, tags_crc32c
-from wafer_viewer.store.dataset.journal_index import LONG_LINES, JournalIndex
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.dataset.scan_record import (
     FLAT_FIELD,
@@ -383,7 +382,7 @@ class Dataset:
         """Compress the frames without loss, or decompress them with the codec "none", as `compression.compress`."""
         from wafer_viewer.store.dataset.compression import compress
 
-        return compress(self.path, codec, progress, should_stop)
+        return compress(Dataset.open(self.path), codec, progress or silent, should_stop or never)
 
     def results(self) -> tuple[str, ...]:
         """Return the names of the reconstructions."""
