@@ -25,14 +25,11 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import Within
 from wafer_viewer.rigs.cameras.base import (
     NO_TIME,
+    CameraHead,
     FrameNumbers,
     GenICamOptions,
-    Trigger,
     import_library,
-    limited_rate_hz,
     require_choice,
-    require_exposure,
-    require_software_trigger,
     select_device,
 )
 from wafer_viewer.rigs.cameras.pixel_formats import decode_image, format_of
@@ -83,10 +80,11 @@ def _use_system_gi() -> None:
         del sys.modules["gi"]
 
 
-class AravisCamera:
+class AravisCamera(CameraHead):
     """Implementation of ConnectedCamera for GigE Vision and USB3 Vision."""
 
     def __init__(self, options: AravisOptions) -> None:
+        super().__init__("The Aravis camera", options.trigger_kind)
         format_of(options.pixel_format)
         self._options = options
         self._aravis = import_aravis()
@@ -96,7 +94,6 @@ class AravisCamera:
         self._stream: Any = None
         self._numbers = FrameNumbers()
         self._last_us = NO_TIME
-        self._name = "The Aravis camera"
         with self._errors():
             self._camera = self._aravis.Camera.new(_find(self._aravis, options.device))
             self._name = _name_of(self._camera)
@@ -109,25 +106,10 @@ class AravisCamera:
             self._configure()
             self._limits = self._read_limits()
 
-    @property
-    def name(self) -> str:
-        """Maker, model and serial number."""
-        return self._name
-
-    @property
-    def limits(self) -> CameraLimits:
-        """Limits at the current region and pixel format."""
-        return self._limits
-
-    @property
-    def trigger(self) -> Trigger:
-        """Start of an exposure."""
-        return self._options.trigger_kind
-
     def start(self, exposure_us: float) -> None:
         """Start waiting for triggers on a new stream."""
         self.stop()
-        require_exposure(self._limits, exposure_us)
+        self._require_exposure(exposure_us)
         self._require_connection()
         with self._errors():
             self._camera.set_exposure_time(float(exposure_us))
@@ -139,7 +121,7 @@ class AravisCamera:
 
     def fire(self) -> None:
         """Send a software trigger."""
-        require_software_trigger(self._name, self.trigger)
+        self._require_software_trigger()
         with self._errors():
             self._camera.software_trigger()
 
@@ -220,22 +202,10 @@ class AravisCamera:
             self._camera.gv_auto_packet_size()
 
     def _read_limits(self) -> CameraLimits:
-        camera, options = self._camera, self._options
-        region = camera.get_region()
+        camera, region = self._camera, self._camera.get_region()
         shortest_us, longest_us = camera.get_exposure_time_bounds()
-        highest_hz = 1e6 / shortest_us
-        if camera.is_frame_rate_available():
-            highest_hz = camera.get_frame_rate_bounds()[1]
-        return CameraLimits(
-            frame_rate_hz=limited_rate_hz(options.frame_rate_hz, highest_hz),
-            exposure_min_us=shortest_us,
-            exposure_max_us=longest_us,
-            readout_us=options.readout_us,
-            rows=region.height,
-            cols=region.width,
-            queue_frames=options.buffers,
-            bits=format_of(options.pixel_format).bits,
-        )
+        highest_hz = camera.get_frame_rate_bounds()[1] if camera.is_frame_rate_available() else 1e6 / shortest_us
+        return self._options.limits_of(region.height, region.width, (shortest_us, longest_us), highest_hz)
 
     def _new_stream(self) -> Any:
         stream = self._camera.create_stream(None, None)

@@ -9,6 +9,7 @@ from wafer_viewer.model.acquisition.devices import Camera
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import NonNegative, Spec, Within
+from wafer_viewer.rigs.cameras.pixel_formats import format_of
 
 Trigger = Literal["hardware", "software", "free"]
 """Start of an exposure: an edge on the trigger input, `fire`, or the camera by itself."""
@@ -83,6 +84,19 @@ class GenICamOptions(CameraOptions, frozen=True, kw_only=True):
             return "software"
         return "free" if self.trigger == "Free" else "hardware"
 
+    def limits_of(self, rows: int, cols: int, exposure_us: tuple[float, float], highest_hz: float) -> CameraLimits:
+        """Return the limits of a camera with these options, whose highest rate of triggers they may lower."""
+        return CameraLimits(
+            frame_rate_hz=min(self.frame_rate_hz, highest_hz) if self.frame_rate_hz else highest_hz,
+            exposure_min_us=exposure_us[0],
+            exposure_max_us=exposure_us[1],
+            readout_us=self.readout_us,
+            rows=rows,
+            cols=cols,
+            queue_frames=self.buffers,
+            bits=format_of(self.pixel_format).bits,
+        )
+
 
 def import_library(module: str, what: str, mend: str) -> Any:
     """Import a camera library. Raises RigError with the remedy when it is missing."""
@@ -111,24 +125,42 @@ def require_choice(name: str, what: str, wanted: str, choices: list[str]) -> Non
         raise RigError(f"{name} has no {what} {wanted!r}: choose one of {', '.join(choices) or 'none'}.")
 
 
-def require_exposure(limits: CameraLimits, exposure_us: float) -> None:
-    """Raise RigError if an exposure is outside the range of the camera."""
-    if not limits.exposure_min_us <= exposure_us <= limits.exposure_max_us:
-        raise RigError(
-            f"The camera cannot expose for {exposure_us:g} us: its range is {limits.exposure_min_us:g} to "
-            f"{limits.exposure_max_us:g} us."
-        )
+class CameraHead:
+    """Common part of the connected cameras: name, limits and trigger, and what they refuse."""
 
+    _limits: CameraLimits
+    _trigger: Trigger
 
-def require_software_trigger(name: str, trigger: Trigger) -> None:
-    """Raise RigError if frames are not taken on command."""
-    if trigger != "software":
-        raise RigError(f"{name} takes no frame on command: its trigger is {trigger!r}.")
+    def __init__(self, name: str, trigger: Trigger) -> None:
+        self._name, self._trigger = name, trigger
 
+    @property
+    def name(self) -> str:
+        """Maker, model and serial number, as far as the driver tells."""
+        return self._name
 
-def limited_rate_hz(wanted_hz: float, highest_hz: float) -> float:
-    """Return the highest rate of triggers: that of the camera, or a lower one from its options."""
-    return min(wanted_hz, highest_hz) if wanted_hz else highest_hz
+    @property
+    def limits(self) -> CameraLimits:
+        """Limits at the current region and pixel format."""
+        return self._limits
+
+    @property
+    def trigger(self) -> Trigger:
+        """Start of an exposure."""
+        return self._trigger
+
+    def _require_exposure(self, exposure_us: float) -> None:
+        """Raise RigError if an exposure is outside the range of the camera."""
+        shortest_us, longest_us = self._limits.exposure_min_us, self._limits.exposure_max_us
+        if not shortest_us <= exposure_us <= longest_us:
+            raise RigError(
+                f"The camera cannot expose for {exposure_us:g} us: its range is {shortest_us:g} to {longest_us:g} us."
+            )
+
+    def _require_software_trigger(self) -> None:
+        """Raise RigError if frames are not taken on command."""
+        if self._trigger != "software":
+            raise RigError(f"{self._name} takes no frame on command: its trigger is {self._trigger!r}.")
 
 
 ID_CYCLE = 65535

@@ -16,14 +16,11 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import NonNegative
 from wafer_viewer.rigs.cameras.base import (
     NO_TIME,
+    CameraHead,
     FrameNumbers,
     GenICamOptions,
-    Trigger,
     import_library,
-    limited_rate_hz,
     require_choice,
-    require_exposure,
-    require_software_trigger,
     select_device,
 )
 from wafer_viewer.rigs.cameras.pixel_formats import decode_image, format_of
@@ -48,17 +45,17 @@ def import_harvesters() -> Any:
     return import_library("harvesters.core", "Harvesters, which GenTL cameras need,", MEND)
 
 
-class GenTLCamera:
+class GenTLCamera(CameraHead):
     """Implementation of ConnectedCamera on a GenTL producer; times are of arrival where it gives none."""
 
     def __init__(self, options: GenTLOptions) -> None:
+        super().__init__(f"The camera on {Path(options.producer).name}", options.trigger_kind)
         format_of(options.pixel_format)
         core = import_harvesters()
         self._errors_of_library = tuple(
             importlib.import_module(name).GenericException for name in ("genicam.gentl", "genicam.genapi")
         )
         self._options = options
-        self._name = f"The camera on {Path(options.producer).name}"
         self._numbers = FrameNumbers()
         self._n_incomplete = 0
         self._running = False
@@ -73,25 +70,10 @@ class GenTLCamera:
             self.close()
             raise
 
-    @property
-    def name(self) -> str:
-        """Maker, model and serial number."""
-        return self._name
-
-    @property
-    def limits(self) -> CameraLimits:
-        """Limits at the current region and pixel format."""
-        return self._limits
-
-    @property
-    def trigger(self) -> Trigger:
-        """Start of an exposure."""
-        return self._options.trigger_kind
-
     def start(self, exposure_us: float) -> None:
         """Start waiting for triggers."""
         self.stop()
-        require_exposure(self._limits, exposure_us)
+        self._require_exposure(exposure_us)
         if self._acquirer is None:
             raise RigError(f"{self._name} is closed.")
         self._numbers, self._n_incomplete = FrameNumbers(), 0
@@ -103,7 +85,7 @@ class GenTLCamera:
 
     def fire(self) -> None:
         """Send a software trigger."""
-        require_software_trigger(self._name, self.trigger)
+        self._require_software_trigger()
         with self._errors():
             self._require("TriggerSoftware").execute()
 
@@ -195,16 +177,9 @@ class GenTLCamera:
             raise RigError(f"{self._name} offers no exposure time: give its fixed one as exposure_us.")
         shortest_us = exposure.min if exposure is not None else options.exposure_us
         longest_us = exposure.max if exposure is not None else options.exposure_us
-        return CameraLimits(
-            frame_rate_hz=limited_rate_hz(options.frame_rate_hz, rate.max if rate is not None else 1e6 / shortest_us),
-            exposure_min_us=shortest_us,
-            exposure_max_us=longest_us,
-            readout_us=options.readout_us,
-            rows=self._require("Height").value,
-            cols=self._require("Width").value,
-            queue_frames=options.buffers,
-            bits=format_of(options.pixel_format).bits,
-        )
+        highest_hz = rate.max if rate is not None else 1e6 / shortest_us
+        rows, cols = self._require("Height").value, self._require("Width").value
+        return options.limits_of(rows, cols, (shortest_us, longest_us), highest_hz)
 
     def _image(self, buffer: Any) -> CameraImage:
         limits = self._limits

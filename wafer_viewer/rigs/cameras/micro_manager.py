@@ -18,11 +18,10 @@ from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import Positive
 from wafer_viewer.rigs.cameras.base import (
+    CameraHead,
     CameraOptions,
     Trigger,
     import_library,
-    require_exposure,
-    require_software_trigger,
 )
 from wafer_viewer.rigs.cameras.pixel_formats import full_range
 
@@ -69,13 +68,14 @@ def import_core() -> Any:
     return import_library("pymmcore", "pymmcore, which Micro-Manager cameras need,", MEND)
 
 
-class MicroManagerCamera:
+class MicroManagerCamera(CameraHead):
     """Implementation of ConnectedCamera on Micro-Manager's core.
 
     With a software trigger every frame is a snap; otherwise frames come from a sequence acquisition.
     """
 
     def __init__(self, options: MicroManagerOptions) -> None:
+        super().__init__(f"The Micro-Manager camera {options.device or options.config}", options.trigger)
         library = import_core()
         self._options = options
         self._metadata: Any = library.Metadata
@@ -83,30 +83,14 @@ class MicroManagerCamera:
         self._armed = False
         self._snaps: deque[CameraImage] = deque()
         self._n_snaps = 0
-        self._name = f"The Micro-Manager camera {options.device or options.config}"
         with self._errors():
             self._load()
             self._limits = self._configure()
 
-    @property
-    def name(self) -> str:
-        """Maker, model and serial number, as far as the adapter tells."""
-        return self._name
-
-    @property
-    def limits(self) -> CameraLimits:
-        """Limits at the current region and pixel type."""
-        return self._limits
-
-    @property
-    def trigger(self) -> Trigger:
-        """Start of an exposure."""
-        return self._options.trigger
-
     def start(self, exposure_us: float) -> None:
         """Start a run with an empty buffer."""
         self.stop()
-        require_exposure(self._limits, exposure_us)
+        self._require_exposure(exposure_us)
         self._require_open()
         self._n_snaps = 0
         with self._errors():
@@ -117,7 +101,7 @@ class MicroManagerCamera:
 
     def fire(self) -> None:
         """Take one frame now and wait for it."""
-        require_software_trigger(self._name, self.trigger)
+        self._require_software_trigger()
         if not self._armed:
             return
         time_us = time.monotonic_ns() // 1000
