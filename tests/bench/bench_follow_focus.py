@@ -23,8 +23,8 @@ from tests.bench.bench_plan import JOBS, LIMITS
 from tests.bench.bench_wafer import WAFER_UM
 from tests.bench.tables import met, percent, show
 from tests.support.bowed_wafer import BowedWafer, bowed_rig
-from wafer_viewer.acquire.coarse_look import LookForFocus
-from wafer_viewer.acquire.focus_windows import plan_following
+from wafer_viewer.acquire.focus.coarse_look import LookForFocus
+from wafer_viewer.acquire.focus.windows import plan_following
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.measure.truth_comparison import quality
 from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, FollowFocus

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from wafer_viewer.acquire.conformance.check import ConformanceCheck
-    from wafer_viewer.acquire.focus_at_place import FocusedPlace
+    from wafer_viewer.acquire.focus.at_place import FocusedPlace
     from wafer_viewer.model.acquisition.conformance import ConformanceReport, ConformanceResult
     from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.acquisition.exposure import FoundExposure

@@ -56,7 +56,7 @@ from wafer_viewer.session.surface.kernel_build import KernelBuild
 from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
 
 if TYPE_CHECKING:
-    from wafer_viewer.acquire.coarse_look import LookForFocus
+    from wafer_viewer.acquire.focus.coarse_look import LookForFocus
     from wafer_viewer.session.rendering.render_process import Painter
     from wafer_viewer.session.rendering.render_request import RenderRequest
 

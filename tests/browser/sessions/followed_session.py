@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.acquire.coarse_look import spread
+from wafer_viewer.acquire.focus.coarse_look import spread
 from wafer_viewer.model.acquisition.focus_following import CoarseLook, FocusCell, FocusPlace, FollowFocus
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep
 from wafer_viewer.model.job import Job

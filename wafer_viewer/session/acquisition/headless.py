@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from wafer_viewer.acquire.focus_at_place import FocusAtPlace, FocusedPlace
+from wafer_viewer.acquire.focus.at_place import FocusAtPlace, FocusedPlace
 from wafer_viewer.acquire.motion import device_errors
 from wafer_viewer.acquire.pass_runner import rig_at_rest
 from wafer_viewer.acquire.positioning import move_positioner, positioner_of, read_positioners

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from wafer_viewer.acquire.focus_search import FocusFound, GoToFocus
+from wafer_viewer.acquire.focus.search import FocusFound, GoToFocus
 from wafer_viewer.acquire.hand_drive import JogVelocity
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.devices import Position

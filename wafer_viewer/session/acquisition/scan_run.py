@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.acquire.focus_windows import replanned, widened
+from wafer_viewer.acquire.focus.tile_sharpness import sharpness, tile_peaks, touched_ends
+from wafer_viewer.acquire.focus.windows import replanned, widened
 from wafer_viewer.acquire.motion import device_errors
 from wafer_viewer.acquire.positioning import read_positioners
 from wafer_viewer.acquire.scan_runner import ScanOutcome, run_scan
-from wafer_viewer.acquire.tile_sharpness import sharpness, tile_peaks, touched_ends
 from wafer_viewer.model.acquisition.devices import Position, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS
 from wafer_viewer.model.acquisition.focus_stack import Frame, Image

@@ -31,7 +31,7 @@ from wafer_viewer.session.planning.job_releases import (
 from wafer_viewer.session.state.snapshot import Draft, MarkedPositions, Place, Typed
 
 if TYPE_CHECKING:
-    from wafer_viewer.acquire.coarse_look import LookForFocus
+    from wafer_viewer.acquire.focus.coarse_look import LookForFocus
 
 PLAN_ENDING = ".toml"
 MOST_SHOWN = 5000
@@ -338,7 +338,7 @@ def free_bytes(folder: Path) -> int | None:
 
 def plan_of(job: Job, limits: RigLimits, look: CoarseLook | None = None) -> ScanPlan:
     """Plan the scan of a job on a rig, by the coarse look if there is one. Raises PlanError when it is impossible."""
-    from wafer_viewer.acquire.focus_windows import plan_following
+    from wafer_viewer.acquire.focus.windows import plan_following
     from wafer_viewer.acquire.planner import plan_scan
 
     scan = job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy
@@ -349,7 +349,7 @@ def plan_of(job: Job, limits: RigLimits, look: CoarseLook | None = None) -> Scan
 
 def look_for(job: Job, plan: ScanPlan) -> LookForFocus:
     """Return the coarse look of a plan. Raises PlanError if it does not follow the focus."""
-    from wafer_viewer.acquire.coarse_look import LookForFocus
+    from wafer_viewer.acquire.focus.coarse_look import LookForFocus
 
     if job.follow_focus is None:
         raise PlanError("The plan does not follow the focus: give it the depth about the focus first.")
@@ -358,7 +358,7 @@ def look_for(job: Job, plan: ScanPlan) -> LookForFocus:
 
 def look_further(job: Job, plan: ScanPlan, limits: RigLimits) -> LookForFocus:
     """Return the look at more places, where the prediction of a plan is least certain. Raises PlanError without any."""
-    from wafer_viewer.acquire.coarse_look import LookForFocus, more_places
+    from wafer_viewer.acquire.focus.coarse_look import LookForFocus, more_places
 
     if plan.coarse_look is None:
         raise PlanError("The plan follows no coarse look yet: look for the focus first, with Follow the focus chosen.")
@@ -372,7 +372,7 @@ def focus_of(plan: ScanPlan | None, limits: RigLimits | None) -> tuple[FieldFocu
     """Return the focus of each field of a plan that follows a coarse look; empty for others, and for large plans."""
     if plan is None or limits is None or plan.coarse_look is None or len(plan.fields) > MOST_SHOWN:
         return ()
-    from wafer_viewer.acquire.focus_windows import ranges_of
+    from wafer_viewer.acquire.focus.windows import ranges_of
 
     ranges = ranges_of(plan.fields, plan.coarse_look, limits)
     u_um = np.maximum(ranges.u_low_um, ranges.u_high_um)

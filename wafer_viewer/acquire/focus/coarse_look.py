@@ -15,10 +15,10 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.acquire.focus_surface import CELL_COLS, CELL_ROWS, predicted_ranges
+from wafer_viewer.acquire.focus.surface import CELL_COLS, CELL_ROWS, predicted_ranges
+from wafer_viewer.acquire.focus.tile_sharpness import SHARPNESS, TilePeaks, sharpness, tile_peaks
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.acquire.scan_runner import run_scan
-from wafer_viewer.acquire.tile_sharpness import SHARPNESS, TilePeaks, sharpness, tile_peaks
 from wafer_viewer.model.acquisition.devices import PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_following import CoarseLook, FocusCell, FocusPlace
 from wafer_viewer.model.acquisition.focus_stack import Frame

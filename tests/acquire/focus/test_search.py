@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.acquire.focus_search import GoToFocus, parabola_vertex
+from wafer_viewer.acquire.focus.search import GoToFocus, parabola_vertex
 from wafer_viewer.model.errors import MotionStopped, RigError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits

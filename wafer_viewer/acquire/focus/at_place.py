@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wafer_viewer.acquire.auto_exposure import exposure_at
-from wafer_viewer.acquire.focus_search import FOCUS_SEARCH, FocusFound, GoToFocus
+from wafer_viewer.acquire.focus.search import FOCUS_SEARCH, FocusFound, GoToFocus
 from wafer_viewer.acquire.hand_drive import drive
 from wafer_viewer.model.acquisition.devices import Position, Rig
 from wafer_viewer.model.acquisition.plan import Axis

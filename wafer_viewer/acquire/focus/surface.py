@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.acquire.focus_kriging import Kriging
+from wafer_viewer.acquire.focus.kriging import Kriging
 from wafer_viewer.model.acquisition.focus_following import FocusPlace
 from wafer_viewer.model.errors import RigError
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.acquire.coarse_look import spread
-from wafer_viewer.acquire.focus_surface import part_centres, predicted_ranges
+from wafer_viewer.acquire.focus.coarse_look import spread
+from wafer_viewer.acquire.focus.surface import part_centres, predicted_ranges
 from wafer_viewer.model.acquisition.focus_following import FocusCell, FocusPlace
 from wafer_viewer.model.errors import RigError
 
