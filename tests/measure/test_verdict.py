@@ -21,7 +21,7 @@ from wafer_viewer.measure.verdict import (
 )
 from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.job import FeatureVerdict, WaferVerdict
+from wafer_viewer.model.job import WaferVerdict
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature
 from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
@@ -239,8 +239,6 @@ def test_a_step_in_the_older_words_is_the_same_feature():
     """
     assert decode(older, Feature, "older") == BLOCKS
     assert decode(encode(BLOCKS), Feature, "newer") == BLOCKS
-    inliers = FeatureVerdict(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
-    assert inliers.measured == Quantity(value=30.0, unit="um")
 
 
 def test_feature_without_a_place_or_a_die_has_no_verdict():

@@ -15,7 +15,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerErr
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.quantity import Length, Quantity, Word
+from wafer_viewer.model.quantity import Quantity, Word
 from wafer_viewer.model.spec import Positive, Spec, Within
 from wafer_viewer.model.surface.recipe import Recipe
 
@@ -168,7 +168,7 @@ class FeatureVerdict(Spec, frozen=True, kw_only=True, omit_defaults=True):
     """Verdict on one feature: measured value, outcome and the sentence with the reason. measured: None if not measured.
 
     die: name of the die that it was measured on, for a feature repeated over dies; not_evaluated: contributions missing
-    from the uncertainty. `height` is the name of `measured` in older files, when only heights were judged.
+    from the uncertainty.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -178,13 +178,6 @@ class FeatureVerdict(Spec, frozen=True, kw_only=True, omit_defaults=True):
     not_evaluated: tuple[str, ...] = ()
     word: Word
     why: str
-    height: Length | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.height is not None:
-            msgspec.structs.force_setattr(self, "measured", self.height.quantity)
-            msgspec.structs.force_setattr(self, "height", None)
 
     @property
     def name(self) -> str:

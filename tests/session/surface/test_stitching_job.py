@@ -17,7 +17,6 @@ from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.mosaic.poses_file import write_poses
 from wafer_viewer.store.records.manifest import MANIFEST
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin", "overlap_um")
@@ -129,18 +128,6 @@ def test_two_runs_on_the_same_surfaces_leave_the_same_bytes(made, tmp_path):
     assert results[0].keys() == results[1].keys()
     assert len(results[0]) > 20
     assert [name for name, content in results[0].items() if content != results[1][name]] == []
-
-
-def test_poses_of_an_earlier_version_with_times_of_files_still_hold(dataset, made):
-    stored = add_surfaces(dataset, made, range(4))
-    bring_up_to_date(dataset, RESULT, REGISTERED)
-    poses = stored.poses()
-    times = np.array([stored.field_stamp(field) for field in made.fields[:4]])
-    assert (poses.marks < 2**32).all()
-    write_poses(dataclasses.replace(poses, marks=times), stored.path / "poses.npz")
-    stored.save_surface(made.fields[1], dataclasses.replace(made.heights[1], z_um=made.heights[1].z_um + 1))
-    previous = StitchingInputs.open(dataset, RESULT, REGISTERED).previous_solution()
-    assert previous.unchanged.tolist() == [True, False, True, True]
 
 
 def test_a_surface_that_is_written_again_with_the_same_content_changes_nothing(dataset, made):

@@ -5,7 +5,6 @@ Nothing stays open: workers get the names and open what they need.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -36,8 +35,6 @@ OPEN_SURFACES = 600
 Each takes a file descriptor, of which a process has 1024 on most systems.
 """
 SAME_PIXEL_FRACTION = 1e-6
-TIMES_FROM = 2**32
-"""Marks of surfaces from here on are times in ns, as earlier versions had them; others are checksums."""
 Window = tuple[slice, slice]
 
 
@@ -125,17 +122,7 @@ class StitchingInputs:
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
             if placement != wanted or header.provenance.recipe.stitching != self.recipe.stitching:
                 poses = None
-        poses = None if poses is None else self._marked_by_content(poses)
         return PreviousSolution.of(poses, np.array(self.numbers, np.int32), self.marks)
-
-    def _marked_by_content(self, poses: Poses) -> Poses:
-        """Return poses of earlier versions, marked by times of files, with the marks of surfaces not written since."""
-        if not (poses.marks >= TIMES_FROM).any():
-            return poses
-        stamps = [(field.number, self.stored.field_stamp(field)) for field in self.fields]
-        marks = dict(zip(stamps, self.marks.tolist(), strict=True))
-        before = zip(poses.numbers.tolist(), poses.marks.tolist(), strict=True)
-        return dataclasses.replace(poses, marks=np.array([marks.get(one, one[1]) for one in before], np.int64))
 
     def _stitched(self) -> tuple[Poses | None, MosaicHeader | None]:
         """Return poses and header of a complete mosaic on disk; None for both if it is missing or damaged."""

@@ -117,13 +117,11 @@ class Channel:
     unit: str = ""
     scale: float = 1.0
     has_gaps: bool = False
-    older_title: str = ""
-    """Title written by earlier versions of this program."""
 
 
 CHANNELS = (
     Channel("z_um", "Heights", "m", _M, has_gaps=True),
-    Channel("z_raw_um", "Measured heights", "m", _M, has_gaps=True, older_title="Unsmoothed heights"),
+    Channel("z_raw_um", "Measured heights", "m", _M, has_gaps=True),
     Channel("confidence", "Confidence"),
     Channel("all_in_focus", "All in focus"),
     Channel("origin", "Origin"),
@@ -212,7 +210,7 @@ def _surface(
     x0_um, y0_um = (field.get(name, 0.0) * (unit_um or 0.0) for name in ("xoff", "yoff"))
     place = pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2
     z_um = _heights(tree, number, channels, options)
-    wanted = [titles.get(channel.title, titles.get(channel.older_title)) for channel in CHANNELS]
+    wanted = [titles.get(channel.title) for channel in CHANNELS]
     if came_from is None or None in wanted or any(_shape(channels[n]) != (rows, cols) for n in wanted if n is not None):
         return heights_only(options, z_um, *place, came_from)
     confidence, grey, origin = (channels[n] for n in wanted[2:] if n is not None)
