@@ -42,12 +42,7 @@ from wafer_viewer.model.measurement.sections import (
     column_line,
     row_line,
 )
-from wafer_viewer.model.measurement.tool_options import (
-    STEEL_PER_K,
-    Conditions,
-    GrooveOptions,
-    StepDefinition,
-)
+from wafer_viewer.model.measurement.tool_options import STEEL_PER_K, Conditions, GrooveOptions, StepDefinition
 from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region, RegionKind
 from wafer_viewer.model.spec import replace

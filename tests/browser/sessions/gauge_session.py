@@ -18,14 +18,7 @@ from tests.support.page_stand_in import MemoryShelf, StandIn, grid, job_and_plan
 from wafer_viewer.measure.gauge.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.gauge import (
-    Certificate,
-    GaugeCheck,
-    GaugeRecord,
-    GaugeRepeat,
-    GaugeTerms,
-    ScaleCorrection,
-)
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.tools import ToolOptions

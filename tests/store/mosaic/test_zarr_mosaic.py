@@ -24,13 +24,7 @@ from wafer_viewer.model.surface.pyramid_layers import COUNTS
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.missing_shards import missing_files
-from wafer_viewer.store.mosaic.zarr_mosaic import (
-    ZarrMosaic,
-    lay_out,
-    patches,
-    write_mosaic,
-    write_patch,
-)
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, lay_out, patches, write_mosaic, write_patch
 
 SIZES = layout.CHUNK, layout.SHARD
 pytestmark = pytest.mark.usefixtures("small_shards")

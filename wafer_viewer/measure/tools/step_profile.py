@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.correlated_errors import Scatter, functional_scatter
 from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import (
-    NOISE,
-    POSES,
-    Lines,
-    MeasurementContext,
-    step_budget,
-)
+from wafer_viewer.measure.base.measurement_context import NOISE, POSES, Lines, MeasurementContext, step_budget
 from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.robust_fit import least_squares
 from wafer_viewer.measure.tools.profile import places_across, profile

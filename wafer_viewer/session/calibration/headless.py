@@ -14,11 +14,7 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.session.acquisition.headless import run_procedure
 from wafer_viewer.session.calibration.frames import CalibrationSite
-from wafer_viewer.session.calibration.image_procedures import (
-    FlatFieldProcedure,
-    MappingProcedure,
-    ResolutionProcedure,
-)
+from wafer_viewer.session.calibration.image_procedures import FlatFieldProcedure, MappingProcedure, ResolutionProcedure
 from wafer_viewer.session.calibration.procedures import (
     DelayProcedure,
     FlatnessProcedure,

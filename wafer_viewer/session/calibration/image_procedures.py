@@ -17,13 +17,7 @@ from wafer_viewer.model.acquisition.characteristics import CalibrationResult
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.procedure import ProcedureControl, ProcedureStep
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.session.calibration.frames import (
-    CalibrationSite,
-    FocusedSite,
-    exposed_site,
-    focus_at,
-    focused_site,
-)
+from wafer_viewer.session.calibration.frames import CalibrationSite, FocusedSite, exposed_site, focus_at, focused_site
 from wafer_viewer.session.calibration.procedures import (
     FOCUS_SHARE,
     ISO_600,

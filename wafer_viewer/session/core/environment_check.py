@@ -15,12 +15,7 @@ from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.numerics.open3d_library import Open3DMissing, load_open3d
-from wafer_viewer.rigs.composed.device_checks import (
-    check_devices,
-    check_index_marks,
-    check_stage,
-    positioner_words,
-)
+from wafer_viewer.rigs.composed.device_checks import check_devices, check_index_marks, check_stage, positioner_words
 from wafer_viewer.rigs.rig_config import RigConfig, device_opener, open_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")

@@ -13,14 +13,7 @@ from hypothesis import strategies as st
 
 from tests.gui.scenes.test_scene_view import until
 from wafer_viewer.gui.page.browser_info import BrowserInfo, may_fly
-from wafer_viewer.gui.scene.camera_controller import (
-    FLIGHT_S,
-    LATE_S,
-    STEP_S,
-    CameraAnimator,
-    CameraTransition,
-    between,
-)
+from wafer_viewer.gui.scene.camera_controller import FLIGHT_S, LATE_S, STEP_S, CameraAnimator, CameraTransition, between
 from wafer_viewer.gui.scene.camera_presets import CameraPose, direction_of
 
 AT = np.array([1.0, 2.0, 0.1])
