@@ -36,6 +36,7 @@ def dirty(monkeypatch: pytest.MonkeyPatch) -> Dirty:
     return fill_with
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", KINDS.values(), ids=KINDS.keys())
 def test_poses_of_fields(dirty: Dirty, seed: int) -> None:
     grid, found = made(drawn(seed)), []

@@ -23,6 +23,7 @@ def a_corner_raised() -> Solid:
     return Solid("corner", height_um, reflectance, np.zeros((n, n), bool), 0.3)
 
 
+@pytest.mark.slow
 def test_each_part_is_sharp_at_its_own_height_and_where_it_lies() -> None:
     low, high = light_of(a_corner_raised(), 0.4, np.array([0.0, 12.0]), SIDE, 128, 1)
     quarters = {

@@ -144,6 +144,7 @@ def test_a_specular_trench_sends_each_view_something_else(glossy: bool, alike: b
     assert (np.corrcoef(one, other)[0, 1] > 0.95) == alike
 
 
+@pytest.mark.slow
 def test_a_polished_rim_shines():
     settings = {"pitch_px": 90.0, "trench_px": 30.0, "die_contrast": 0.0}
     dull, shining = dies(4, (90, 90), roll_um=7.0, **settings), rim(4, (90, 90), **settings)
@@ -153,6 +154,7 @@ def test_a_polished_rim_shines():
     assert bright.max() > 3 * dark.max()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
     z_um = 100.0 + 20.0 * np.arange(4)
     optics = Optics(views=10)

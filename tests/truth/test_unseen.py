@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.support.campaigns import drawn_after
 from tests.truth.unseen import FEWEST_FRAMES, MOST_FRAMES, Unseen, drawn_scene
 
 SIDE = 96
@@ -18,6 +19,7 @@ def seen_scene(seed: int) -> Unseen:
     return drawn_scene(seed, SIDE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_seed_gives_the_same_bits_again(seed):
     one, again, other = seen_scene(seed), drawn_scene(seed, SIDE), seen_scene(seed + 2)
@@ -25,7 +27,8 @@ def test_a_seed_gives_the_same_bits_again(seed):
     assert one.instrument != other.instrument
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", drawn_after(2, range(8)))
 def test_the_sweep_covers_the_sample(seed):
     one = seen_scene(seed)
     z_um = one.stack.z_um
@@ -34,6 +37,7 @@ def test_the_sweep_covers_the_sample(seed):
     assert one.stack.depth_of_field_um in (0.0, one.instrument.depth_of_field_um)
 
 
+@pytest.mark.slow
 def test_dark_frames_and_flashes_show():
     scenes = [seen_scene(seed) for seed in range(0, 60, 2)]
     assert {s.instrument.dark for s in scenes} == {s.instrument.flashes for s in scenes} == {0, 1}

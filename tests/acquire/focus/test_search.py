@@ -57,6 +57,7 @@ def test_the_focus_stays_clear_of_the_highest_known_point():
     assert rig.stage.position().z_um == pytest.approx(truth_um + 30.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_in_focus_is_refused_with_what_to_do_and_the_stage_back_at_its_start():
     rig = small_rig("plane")
     place(rig, 0.0, 0.0, 2_000.0)

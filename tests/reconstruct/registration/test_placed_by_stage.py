@@ -110,6 +110,7 @@ def test_the_mend_that_the_note_names_helps():
     assert not any(note.startswith(BY_STAGE_ALONE) for note in notes)
 
 
+@pytest.mark.slow
 def test_fields_that_hang_on_the_stage_next_to_others_are_named():
     """The left half is of random texture, the right half of dies too fine for the stage."""
     shape = wafer(4)
