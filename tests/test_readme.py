@@ -13,6 +13,7 @@ import yaml
 
 from tests.support.command_line import viewer
 from tests.support.paths import ROOT
+from wafer_viewer.rigs.virtual.scenes.wafer import DEPTH_UM
 
 BLOCK = re.compile(r"^( *)```(console|python)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 """A block of code, in a numbered list too."""
@@ -77,19 +78,47 @@ def commands(body: str) -> list[list[str]]:
     return [shlex.split(line[2:], comments=True) for line in lines if line.startswith("$ ")]
 
 
+def run_example(kind: str, body: str) -> int:
+    """Run a block of code in the working directory and return how many programs it has."""
+    if kind == "python":
+        Path("example.py").write_text(body)
+        runpy.run_path("example.py")
+        return 1
+    for program, *words in commands(body):
+        assert program == "wafer-viewer"
+        done = viewer(*words)
+        assert done.returncode == 0, f"{words}\n{done.stdout}\n{done.stderr}"
+        if words[:3] == ["measure", "step", "scan.wafer"]:
+            print(done.stdout)
+    return len(commands(body))
+
+
+def printed_steps(text: str) -> list[tuple[float, float]]:
+    """Return the steps of the virtual wafer that examples print, with their U, in um."""
+    of_python = re.findall(r"^(\d+\.\d+) ± (\d+\.\d+) um", text, re.MULTILINE)
+    of_command = re.findall(r'"height": \{\s*"value_um": ([\d.]+),\s*"expanded_um": ([\d.]+)', text)
+    return [(float(height), float(u)) for height, u in (*of_python, *of_command)]
+
+
 @pytest.mark.slow
-def test_every_example_of_the_readme_runs(tmp_path, monkeypatch):
+def test_every_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     (tmp_path / "assets").symlink_to(ROOT / "assets")
     monkeypatch.chdir(tmp_path)
-    ran = 0
-    for kind, body in examples():
-        if kind == "python":
-            Path("example.py").write_text(body)
-            runpy.run_path("example.py")
-            ran += 1
-        for program, *words in commands(body) if kind == "console" else ():
-            assert program == "wafer-viewer"
-            done = viewer(*words)
-            assert done.returncode == 0, f"{words}\n{done.stdout}\n{done.stderr}"
-            ran += 1
-    assert ran >= 8
+    assert sum(run_example(kind, body) for kind, body in examples()) >= 8
+    steps = printed_steps(capsys.readouterr().out)
+    assert len(steps) == 3, "README, Python, command line"
+    assert not [(height, u) for height, u in steps if abs(height - DEPTH_UM) > u]
+
+
+@pytest.mark.slow
+@pytest.mark.campaign
+@pytest.mark.parametrize("scan", range(5))
+def test_u_of_the_readme_covers_the_truth_on_several_scans(tmp_path, monkeypatch, capsys, scan):
+    """The noise of the virtual rig is new in every scan."""
+    (tmp_path / "assets").symlink_to(ROOT / "assets")
+    monkeypatch.chdir(tmp_path)
+    for _, kind, body in BLOCK.findall((ROOT / "README.md").read_text()):
+        if kind == "python" or " scan " in body:
+            run_example(kind, dedent(body))
+    ((height, u),) = printed_steps(capsys.readouterr().out)
+    assert abs(height - DEPTH_UM) <= u <= 0.3
