@@ -6,12 +6,13 @@ import os
 import time
 from concurrent.futures import Future
 from functools import partial
+from multiprocessing import Pipe
 from pathlib import Path
 
 import pytest
 
 from wafer_viewer.compute import child_process
-from wafer_viewer.compute.child_process import ChildConnection, ChildDied, ChildProcess, Reply, alongside
+from wafer_viewer.compute.child_process import ChildConnection, ChildDied, ChildProcess, Reply, Request, alongside
 
 
 def write_own_number(path: Path) -> None:
@@ -73,3 +74,23 @@ def test_reader_that_fails_counts_as_a_dead_child(patience_s, monkeypatch, caplo
         child.ask(1).result(patience_s)
     assert "could not be dealt with" in caplog.text
     child.close()
+
+
+def test_requests_that_came_early_are_not_lost_and_the_end_is_seen():
+    ours, theirs = Pipe()
+    end = ChildConnection(theirs)
+    assert not end.is_closed()
+    for number in (1, 2):
+        ours.send(Request(number, "do"))
+        assert not end.is_closed()
+    ours.send(None)
+    assert end.is_closed()
+    assert [request.number for request in end.requests()] == [1, 2]
+
+
+def test_end_of_the_viewer_is_seen():
+    ours, theirs = Pipe()
+    end = ChildConnection(theirs)
+    ours.close()
+    assert end.is_closed()
+    assert list(end.requests()) == []

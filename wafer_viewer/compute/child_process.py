@@ -176,11 +176,21 @@ class ChildConnection:
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._sending = threading.Lock()
+        self._early: list[Request | None] = []
+
+    def is_closed(self) -> bool:
+        """Return whether the viewer has closed the pipe or is gone; `requests`, which come later, miss nothing."""
+        try:
+            while self._pipe.poll():
+                self._early.append(self._pipe.recv())
+        except (EOFError, OSError):
+            self._early.append(None)
+        return None in self._early
 
     def requests(self) -> Iterator[Request]:
         """Yield requests as they arrive, until the viewer closes the pipe or is gone."""
         with contextlib.suppress(EOFError, OSError):
-            while (request := self._pipe.recv()) is not None:
+            while (request := self._early.pop(0) if self._early else self._pipe.recv()) is not None:
                 yield request
 
     def tell(self, event: Any) -> None:

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.compute.child_process import ChildProcess, run_in_background
+from wafer_viewer.compute.child_process import ChildConnection, ChildProcess, run_in_background
 from wafer_viewer.compute.messages import Answer, Args, Cancel, LedTask, RunLedTask, RunTask, WarmUp, WatchedTask
 from wafer_viewer.compute.task_runner import require_tls
 from wafer_viewer.compute.worker_environment import FORKS, start_fork_server
@@ -60,11 +60,14 @@ class Compute:
 
 def _host(pipe: Connection, scheduler: str | None, warm_up: WarmUp) -> None:
     run_in_background(NICENESS)
+    end = ChildConnection(pipe)
     if scheduler is None:
-        warm_up.compile()
+        warm_up.compile(end.is_closed)
+    if end.is_closed():
+        return
     loaded = warm_up.loaded if FORKS and scheduler is None else None
     if loaded is not None:
         start_fork_server(loaded)  # it loads while this process imports dask
     from wafer_viewer.compute.compute_host import run_compute
 
-    run_compute(pipe, scheduler, warm_up, forked=loaded is not None)
+    run_compute(end, scheduler, warm_up, forked=loaded is not None)

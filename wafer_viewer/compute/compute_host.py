@@ -12,7 +12,6 @@ from concurrent.futures import Future as LocalFuture
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from functools import partial
-from multiprocessing.connection import Connection
 from typing import Any
 
 from distributed import CancelledError, Client, Event, Future
@@ -40,9 +39,8 @@ RUN_PRIORITY = 10
 """Priority of single tasks, such as a field of the running scan, over the tasks of a led work."""
 
 
-def run_compute(pipe: Connection, scheduler: str | None, warm_up: WarmUp, *, forked: bool = False) -> None:
+def run_compute(end: ChildConnection, scheduler: str | None, warm_up: WarmUp, *, forked: bool = False) -> None:
     """Run the compute host until the pipe ends. forked: see `client_of`."""
-    end = ChildConnection(pipe)
     with ExitStack() as until_end:
         try:
             client = until_end.enter_context(client_of(scheduler, n_local_workers(), forked))

@@ -57,7 +57,7 @@ class WarmUp:
     workers can be forks of; None for workers that begin with nothing.
     """
 
-    compile: Callable[[], None]
+    compile: Callable[[ShouldStop], None]
     first: Callable[[], None]
     complete: Callable[[], None]
     loaded: str | None = None

@@ -50,7 +50,7 @@ from wafer_viewer.session.acquisition.rig_messages import (
 )
 from wafer_viewer.session.acquisition.scan_run import REPORT_EVERY_S, Steering, run_scan_job, writer_of
 from wafer_viewer.session.planning.guided_tour import tour_of
-from wafer_viewer.session.surface.kernel_build import SIMULATION, compile_parts
+from wafer_viewer.session.surface.kernel_build import SIMULATION, compile_missing
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
@@ -67,7 +67,9 @@ def run_rig(pipe: Connection, config: RigConfig) -> None:
     try:
         end.tell(_introduce(rig, config))
         if rig.simulated:
-            compile_parts(SIMULATION)
+            compile_missing(SIMULATION, lambda _: None, end.is_closed)
+        if end.is_closed():
+            return
         end.tell(OverviewReady(rig.overview()))
         RigExecutor(rig, end).work()
     except WaferViewerError as fault:

@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -263,10 +263,9 @@ class KernelBuild:
 # ------------------------------------------------------------------------------------------------ loading by workers
 
 
-def compile_surface_kernels() -> None:
+def compile_surface_kernels(should_stop: ShouldStop = never) -> None:
     """Compile what a field and a mosaic need, or wait until it is compiled."""
-    with suppress(Exception):  # the task that needs it says what is wrong
-        compile_parts((*HEIGHTS, *STITCHING))
+    compile_missing((*HEIGHTS, *STITCHING), lambda _: None, should_stop)
 
 
 def load_heights() -> None:
