@@ -12,10 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.numerics.block_sums import N_LINES, N_SHADING, Numbers
-from wafer_viewer.numerics.jit import Float64s, Int64s, lean_kernel
+from wafer_viewer.numerics.jit import Float64s, Int, Int64s, lean_kernel
 
 LOOSE_PX = 1000.0
 """Standard uncertainty of a lag along lines, where nothing determines it."""
+(_ONE,) = np.ones(1, np.int64)
+"""A numpy integer: numba would compile a function anew for a literal one."""
 _AREAS = (4, 8)
 """Sides of the areas, in blocks, over which errors may be correlated."""
 _SHOWS = 3.0
@@ -291,8 +293,8 @@ def _fill_covariance(
     if not _invert(hessian[:k, :k], inverse):
         known[:] = math.inf
         return
-    _fill_spread(pull, index, 1, grid[1], room, clusters[0])
-    _fill_spread(pull, index, grid[0], 1, room, clusters[1])
+    _fill_spread(pull, index, _ONE, grid[1], room, clusters[0])
+    _fill_spread(pull, index, grid[0], _ONE, room, clusters[1])
     for of_area in range(2):
         _fill_spread(pull, index, _AREAS[of_area], _AREAS[of_area], room, clusters[2 + of_area])
     _fill_drift(pull, stiff, index, drift[:k])
@@ -368,7 +370,7 @@ def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -
 
 
 @lean_kernel
-def _fill_spread(pull: Float64s, index: Int64s, n_rows: int, n_cols: int, room: Float64s, out: Float64s) -> None:
+def _fill_spread(pull: Float64s, index: Int64s, n_rows: Int, n_cols: Int, room: Float64s, out: Float64s) -> None:
     """Sum up the squares of the sums over clusters of n_rows x n_cols blocks."""
     across, k = room.shape[0], pull.shape[1]
     widest = 0

@@ -53,7 +53,8 @@ WIDTH_UM, HEIGHT_UM = SCALE * full_size.WIDTH_UM, SCALE * full_size.HEIGHT_UM
 PITCH_X_UM, PITCH_Y_UM = 302.0, 231.0
 DEPTH_UM = 15.0
 CORNER_UM = 8.0
-UNNUMBERED = -1
+(UNNUMBERED,) = np.full(1, -1)
+"""A numpy integer: numba would compile the die anew for a literal one."""
 LEAST_RADIANCE, LEAST_CONTRAST = 0.10, 0.06
 """Least values on a die, so that bevel, rim and blank block have texture and heights are measured there."""
 RADIUS_UM, FLAT_UM, EDGE_EXCLUSION_UM = 1500.0, -1350.0, 30.0
