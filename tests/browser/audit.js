@@ -2,7 +2,7 @@
    Installs window.wvAudit once a page. look(other) waits until the layout is at rest; with `other`, the colours of the
    other theme, the page is then turned to them, its contrasts are judged again, and it stays so. Returns [findings,
    findings when turned]; a finding is a sentence that names the element in words of the page. */
-(() => {
+window.wvAudit || (() => {
   const CONTROLS = 'button, input, select, textarea, a[href], summary, [role=button], [role=slider], [role=tab]';
   const DIALOG = '.mantine-Modal-content, .mantine-Spotlight-content, .wv-tour-end';
   const ASIDE = '[aria-hidden=true], [inert], .mantine-Notification-root, .u-over';
@@ -239,6 +239,10 @@
     document.body.append(laid);
     document.documentElement.dataset.mantineColorScheme = other.name;
   };
+  const turnBack = () => {
+    laid?.remove();
+    document.documentElement.dataset.mantineColorScheme = 'light';
+  };
   document.head.insertAdjacentHTML('beforeend', '<style>*, ::before, ::after { transition: none !important; animation: none !important; }</style>');
   const begin = () => { facts = new Map(); modal = all(DIALOG).filter(e => boxOf(e).width).pop() ?? null; };
 
@@ -277,5 +281,5 @@
     turn(own);
     return found;
   };
-  window.wvAudit = { look, rest, theme, turn, colours, coloursTurned };
+  window.wvAudit = { look, rest, theme, turn, turnBack, colours, coloursTurned };
 })();

@@ -1,6 +1,6 @@
-"""The audit of the page: every state of `audit_states` looked over at every size of the window, light and dark.
+"""The audit of the page: every state of `audit_states` looked over at sizes of the window, light and dark.
 
-    python -m tests.browser.audit [GROUP ...] [--pictures FOLDER]
+    [WAFER_VIEWER_CAMPAIGNS=all] python -m tests.browser.audit [GROUP ...] [--pictures FOLDER]
 
 A look (audit.js) waits until the panels are at rest, judges the page, turns it to the colours of the other theme and
 judges the contrasts again. That turning by colours alone is the page's own is checked in every group.
@@ -12,47 +12,24 @@ import argparse
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from playwright.sync_api import Browser, Error, Page, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Error, Page, sync_playwright
 
-from tests.browser.screens import FLAGS, hide_viser_warning, remember
-from wafer_viewer.gui.app import Running, start
+from tests.browser.kept_page import SMALL_PICTURE, KeptPage, a_page
+from tests.browser.screens import FLAGS
+from tests.support.campaigns import drawn_cases
 from wafer_viewer.gui.scene.surface_tiles import MOST_TILES
 
-SIZES = (1366, 768), (1024, 768), (1280, 720), (1600, 900), (2560, 1440)
+NARROWEST = (1024, 768)
+SIZES = (1366, 768), (1280, 720), (1600, 900), (2560, 1440)
+"""An ordinary run draws one of these for a state."""
 LOOK = (Path(__file__).parent / "audit.js").read_text()
-SMALL_PICTURE = """
-for (const side of ['width', 'height']) {
-  const own = Object.getOwnPropertyDescriptor(HTMLCanvasElement.prototype, side);
-  Object.defineProperty(HTMLCanvasElement.prototype, side, {
-    ...own,
-    get() { return this.ofScene?.[side] ?? own.get.call(this); },
-    set(px) {
-      if (this.ofScene) this.ofScene[side] = px;
-      own.set.call(this, this.ofScene ? Math.min(px, 16) : px);
-    },
-  });
-}
-const getContext = HTMLCanvasElement.prototype.getContext;
-HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
-  if (kind.startsWith('webgl') && !this.ofScene) {
-    const { width, height } = this;
-    this.ofScene = {};
-    Object.assign(this, { width, height });
-  }
-  return getContext.call(this, kind, ...rest);
-};
-"""
-"""The scene is drawn into few pixels, scaled to its place: the audit reads the page, and software draws slowly.
-
-Whoever asks the canvas for its size hears the one that it was given: the panel below the scene follows it.
-"""
 UNDRAWN = """
 for (const name of ['drawArrays', 'drawArraysInstanced', 'drawElements', 'drawElementsInstanced'])
   WebGL2RenderingContext.prototype[name] = () => {};
@@ -60,7 +37,6 @@ for (const name of ['drawArrays', 'drawArraysInstanced', 'drawElements', 'drawEl
 """Nothing is drawn into the scene, which the audit does not look at: a tenth of its processor time went there."""
 STEADY = "&fixedDpr=1"
 """viser's own parameter: it would draw coarser on a busy machine, and panels follow the pixels of the scene."""
-PATIENCE_MS = 60_000
 LOOKS, AGAIN_MS = 6, 300
 """What is found must be found again: names.js names an input a moment after it came."""
 INK = {False: "rgb(21, 32, 43)", True: "rgb(233, 238, 243)"}
@@ -73,12 +49,15 @@ Themes = tuple[Any, Any]
 
 @dataclass
 class Visit:
-    """A page that is looked over, with the session and the server behind it, and what its console complains of."""
+    """A page that is looked over, with the session behind it, and what its console complains of."""
 
-    page: Page
+    kept: KeptPage
     session: Any
-    running: Running
     errors: list[str] = field(default_factory=list)
+
+    @property
+    def page(self) -> Page:
+        return self.kept.page
 
 
 Act = Callable[[Visit], None]
@@ -103,37 +82,42 @@ class Group:
 
 
 @contextmanager
-def opened(browser: Browser, group: Group, *, scene: bool = False) -> Iterator[Visit]:
-    """The page of a group's session; without its scene a surface is as coarse as it can be, and not drawn."""
+def page_to_audit(browser: Browser, *, scene: bool = False) -> Iterator[KeptPage]:
+    """A page for one group after the other; without its scene a surface is as coarse as it can be, and not drawn."""
+    width, height = SIZES[0]
     coarse = {} if scene else dict.fromkeys(MOST_TILES, 1)
-    with patch.dict(MOST_TILES, coarse), _visited(browser, group, "" if scene else SMALL_PICTURE + UNDRAWN) as visit:
-        yield visit
+    size = {"width": width, "height": height}
+    with (
+        patch.dict(MOST_TILES, coarse),
+        browser.new_context(viewport=size, reduced_motion="reduce") as context,
+    ):
+        yield KeptPage(a_page(context, "" if scene else SMALL_PICTURE + UNDRAWN), STEADY)
 
 
 @contextmanager
-def _visited(browser: Browser, group: Group, script: str) -> Iterator[Visit]:
+def opened(kept: KeptPage, group: Group) -> Iterator[Visit]:
+    """The page of a group's session."""
     session = group.session()
-    running = start(session)
-    width, height = SIZES[0]
-    context = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce")
-    context.add_init_script(script)
-    hide_viser_warning(context)
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    visit = Visit(page, session, running)
-    page.on("console", lambda said: visit.errors.append(said.text) if said.type == "error" else None)
-    page.on("pageerror", lambda fault: visit.errors.append(str(fault)))
+    visit = Visit(kept, session)
+
+    def said(words: ConsoleMessage) -> None:
+        if words.type == "error":
+            visit.errors.append(words.text)
+
+    def failed(fault: Error) -> None:
+        visit.errors.append(str(fault))
+
     try:
-        remember(page, group.step, dark=False)
-        page.goto(running.address + STEADY)
-        page.locator(".wv-title").first.wait_for(timeout=60_000)
-        page.locator(".wv-contact").wait_for(state="attached", timeout=60_000)
+        page = kept.show(session, step=group.step, dark=False)
+        page.on("console", said)
+        page.on("pageerror", failed)
         page.evaluate(LOOK)
         yield visit
     finally:
-        page.goto("about:blank")
-        context.close()
-        running.stop()
+        kept.page.remove_listener("console", said)
+        kept.page.remove_listener("pageerror", failed)
+        kept.page.evaluate("window.wvAudit?.turnBack()")
+        kept.leave()
         if "close" in dir(session):
             session.close()
 
@@ -165,10 +149,14 @@ def both_themes(page: Page) -> tuple[Themes, list[str]]:
     return (light, dark), differs
 
 
-def look(page: Page, themes: Themes | None = None) -> Iterator[tuple[str, str]]:
-    """What one look finds at each size of the window: where, and what. Without `themes` only as the page is."""
-    last = {"width": SIZES[-1][0], "height": SIZES[-1][1]}
-    for width, height in SIZES[::-1] if page.viewport_size == last else SIZES:
+def sizes_of(state: str) -> list[tuple[int, int]]:
+    """The narrowest window and those of the others that are drawn."""
+    return [NARROWEST, *drawn_cases(SIZES, lambda size: f"{state} at {size[0]}")]
+
+
+def look(page: Page, sizes: Iterable[tuple[int, int]], themes: Themes) -> Iterator[tuple[str, str]]:
+    """What one look finds at each size of the window: where, and what."""
+    for width, height in sizes:
         page.set_viewport_size({"width": width, "height": height})
         for _ in range(LOOKS):
             is_dark, (here, turned) = _look_once(page, themes)
@@ -180,20 +168,20 @@ def look(page: Page, themes: Themes | None = None) -> Iterator[tuple[str, str]]:
         yield from ((names[1], what) for what in turned)
 
 
-def _look_once(page: Page, themes: Themes | None) -> tuple[bool, tuple[list[str], list[str]]]:
+def _look_once(page: Page, themes: Themes) -> tuple[bool, tuple[list[str], list[str]]]:
     return page.evaluate(
         """async themes => {
              const dark = document.documentElement.dataset.mantineColorScheme === 'dark';
-             return [dark, await wvAudit.look(themes?.[dark ? 0 : 1])];
+             return [dark, await wvAudit.look(themes[dark ? 0 : 1])];
            }""",
         themes,
     )
 
 
-def look_over(browser: Browser, group: Group) -> dict[str, list[str]]:
+def look_over(kept: KeptPage, group: Group) -> dict[str, list[str]]:
     """Return all that was found in a group, with the states and sizes where."""
     found: dict[str, list[str]] = {}
-    with opened(browser, group) as visit:
+    with opened(kept, group) as visit:
         themes, differs = both_themes(visit.page)
         found |= {what: [group.states[0].name] for what in differs}
         for state in group.states:
@@ -203,17 +191,17 @@ def look_over(browser: Browser, group: Group) -> dict[str, list[str]]:
             except Error as fault:
                 found.setdefault(f"state: it was not reached, {str(fault).splitlines()[0]}", []).append(state.name)
                 continue
-            for where, what in look(visit.page, themes):
+            for where, what in look(visit.page, sizes_of(state.name), themes):
                 found.setdefault(what, []).append(f"{state.name} at {where}")
         for error in visit.errors:
             found.setdefault(f"console: {error}", []).append("console")
     return found
 
 
-def take_pictures(browser: Browser, group: Group, folder: Path) -> None:
+def take_pictures(kept: KeptPage, group: Group, folder: Path) -> None:
     """A picture of every state of a group, light and dark, in the first of the sizes."""
     folder.mkdir(parents=True, exist_ok=True)
-    with opened(browser, group, scene=True) as visit:
+    with opened(kept, group) as visit:
         themes, _ = both_themes(visit.page)
         for n, state in enumerate(group.states):
             try:
@@ -239,14 +227,15 @@ def main() -> None:
     asked = parser.parse_args()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[*FLAGS, *LIGHT])
-        for name in asked.groups:
-            if asked.pictures is not None:
-                take_pictures(browser, GROUPS[name], asked.pictures / name)
-                continue
-            began = time.monotonic()
-            for what, where in sorted(look_over(browser, GROUPS[name]).items()):
-                print(f"{what}   [{', '.join(dict.fromkeys(where))}]")
-            print(f"== {name}: {len(GROUPS[name].states)} states, {time.monotonic() - began:.0f} s", flush=True)
+        with page_to_audit(browser, scene=asked.pictures is not None) as kept:
+            for name in asked.groups:
+                if asked.pictures is not None:
+                    take_pictures(kept, GROUPS[name], asked.pictures / name)
+                    continue
+                began = time.monotonic()
+                for what, where in sorted(look_over(kept, GROUPS[name]).items()):
+                    print(f"{what}   [{', '.join(dict.fromkeys(where))}]")
+                print(f"== {name}: {len(GROUPS[name].states)} states, {time.monotonic() - began:.0f} s", flush=True)
         browser.close()
 
 

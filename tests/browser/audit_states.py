@@ -147,7 +147,7 @@ def change(**fields: Callable[[], Any]) -> Act:
 def lose(visit: Visit) -> None:
     """Have the program go."""
     escape(visit)
-    visit.running.stop()
+    visit.kept.stop()
 
 
 def watch(visit: Visit) -> None:

@@ -1,4 +1,4 @@
-"""One browser for the whole run, a fresh context for every test; pages of a session that stands still or a true one."""
+"""One browser for the whole run, and a page that is kept: of a session that stands still or a true one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from contextlib import ExitStack
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.browser.audit import SMALL_PICTURE
-from tests.browser.screens import FLAGS, hide_viser_warning
+from tests.browser.kept_page import PATIENCE_MS, KeptPage, a_page
+from tests.browser.screens import FLAGS
 from tests.browser.sessions.fake_session import FakeSession
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
-PATIENCE_MS = 120_000
-"""A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
 WINDOW = {"width": 1366, "height": 768}
 LIGHT = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 """Only the scene is drawn as on a graphics card: the page too would make opening it three times as dear."""
@@ -37,15 +35,11 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def look_at(browser: Browser) -> Iterator[Callable[[str], Page]]:
-    """Opens an address in a context of its own, with a small picture: software draws slowly."""
+    """Opens an address in a browser of its own: for tests of a first sight, of several browsers and of lost contact."""
     with ExitStack() as stack:
 
         def open_page(address: str) -> Page:
-            context = stack.enter_context(browser.new_context(viewport=WINDOW))
-            context.add_init_script(SMALL_PICTURE)
-            hide_viser_warning(context)
-            page = context.new_page()
-            page.set_default_timeout(PATIENCE_MS)
+            page = a_page(stack.enter_context(browser.new_context(viewport=WINDOW)))
             page.goto(address)
             page.locator(".wv-title").first.wait_for()
             return page
@@ -53,9 +47,31 @@ def look_at(browser: Browser) -> Iterator[Callable[[str], Page]]:
         yield open_page
 
 
+@pytest.fixture(scope="session")
+def kept_page(browser: Browser) -> Iterator[KeptPage]:
+    with browser.new_context(viewport=WINDOW, reduced_motion="reduce") as context:
+        yield KeptPage(a_page(context))
+
+
 @pytest.fixture
-def serve(look_at: Callable[[str], Page]) -> Iterator[Callable[[FakeSession], Page]]:
-    """Shows a session that stands still and opens its page."""
+def serve(kept_page: KeptPage) -> Iterator[Callable[[FakeSession], Page]]:
+    """Shows sessions that stand still on the page that is kept, and closes them when it is left."""
+    shown: list[FakeSession] = []
+
+    def show(session: FakeSession) -> Page:
+        shown.append(session)
+        return kept_page.show(session)
+
+    yield show
+    kept_page.leave()
+    for session in shown:
+        if isinstance(session, FakeSession) and "close" in dir(session):
+            session.close()
+
+
+@pytest.fixture
+def serve_anew(look_at: Callable[[str], Page]) -> Iterator[Callable[[FakeSession], Page]]:
+    """Shows a session on a page that is opened for it: for tests that close it, listen to it or change its scripts."""
     with ExitStack() as stack:
 
         def show(session: FakeSession) -> Page:
@@ -67,13 +83,10 @@ def serve(look_at: Callable[[str], Page]) -> Iterator[Callable[[FakeSession], Pa
 
 
 @pytest.fixture
-def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    """The page of the session that a module's own fixture opens; it is left before the viewer ends."""
-    running = start(session)
-    shown = look_at(running.address)
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
+def page(session: Session, kept_page: KeptPage) -> Iterator[Page]:
+    """The page of the session that a module's own fixture opens; it is left before the session ends."""
+    yield kept_page.show(session)
+    kept_page.leave()
 
 
 os.environ.setdefault("WAFER_VIEWER_LOG", os.devnull)

@@ -1,4 +1,4 @@
-"""Every screen looked over at every size of the window, light and dark: see audit.py, audit.js, audit_states.py."""
+"""Every screen looked over at sizes of the window, light and dark: see audit.py, audit.js, audit_states.py."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.browser.audit import Group, State, Themes, both_themes, look_over, opened
+from tests.browser.audit import Group, State, Themes, both_themes, look_over, opened, page_to_audit
 from tests.browser.audit_states import GROUPS
+from tests.browser.kept_page import KeptPage
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 
@@ -49,16 +50,23 @@ FAULTS = {
 """What a look has to say, of each fault that is put into the page."""
 
 
+@pytest.fixture(scope="module")
+def kept(browser: Browser) -> Iterator[KeptPage]:
+    with page_to_audit(browser) as kept:
+        yield kept
+
+
+@pytest.mark.campaign(within=True)
 @pytest.mark.parametrize("name", GROUPS)
-def test_nothing_is_covered_cut_nameless_or_pale(browser: Browser, name: str):
-    found = look_over(browser, GROUPS[name])
+def test_nothing_is_covered_cut_nameless_or_pale(kept: KeptPage, name: str):
+    found = look_over(kept, GROUPS[name])
     assert not found, "\n".join(
         f"{what}   [{', '.join(dict.fromkeys(where))}]" for what, where in sorted(found.items())
     )
 
 
-def test_a_row_that_is_scrolled_half_out_of_its_panel_covers_nothing(browser: Browser):
-    with opened(browser, Group(lambda: fake.FakeSession(operator.tried()), "plan", ())) as visit:
+def test_a_row_that_is_scrolled_half_out_of_its_panel_covers_nothing(kept: KeptPage):
+    with opened(kept, Group(lambda: fake.FakeSession(operator.tried()), "plan", ())) as visit:
         cut = visit.page.get_by_label("Size, mm").evaluate(
             """input => {
               const view = input.closest('.mantine-ScrollArea-viewport');
@@ -74,7 +82,8 @@ def test_a_row_that_is_scrolled_half_out_of_its_panel_covers_nothing(browser: Br
 
 @pytest.fixture(scope="module")
 def report(browser: Browser) -> Iterator[tuple[Page, Themes]]:
-    with opened(browser, REPORT) as visit:
+    """A page that is not used again: faults are put into it."""
+    with page_to_audit(browser) as kept, opened(kept, REPORT) as visit:
         themes, _ = both_themes(visit.page)
         yield visit.page, themes
 

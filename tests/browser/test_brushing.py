@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, go_to, press, title_is
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.app import start
 from wafer_viewer.gui.surface.points_section import amount
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -20,17 +19,13 @@ LOW = 0.8
 
 
 @pytest.fixture
-def looking(look_at: Callable[[str], Page]) -> Iterator[tuple[Page, MeasuringSession]]:
+def looking(serve: Callable[[MeasuringSession], Page]) -> tuple[Page, MeasuringSession]:
     """A page in Surface whose histogram is there."""
     session = MeasuringSession()
-    running = start(session)
-    page = look_at(running.address)
+    page = serve(session)
     go_to(page, "Surface")
     page.locator(".wv-brush").wait_for()
-    yield page, session
-    page.goto("about:blank")
-    running.stop()
-    session.close()
+    return page, session
 
 
 def figure(page: Page, name: str) -> Locator:

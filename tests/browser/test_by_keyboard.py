@@ -1,4 +1,4 @@
-"""From the plan to a kept step height without touching the mouse, on the true session."""
+"""From the plan to a kept step height without touching the mouse: the way of test_main_job once more, by keys alone."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from wafer_viewer.session.session import Session
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.slow,
+    pytest.mark.campaign,
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]

@@ -12,7 +12,6 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser.steps import eventually, notes, press
 from tests.support.compared_surfaces import a_texture
 from tests.support.datasets.compared_datasets import dataset_of, two_datasets
-from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
 pytestmark = [
@@ -35,14 +34,11 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 
 @pytest.fixture
-def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    running = start(session)
-    shown = look_at(running.address)
+def page(session: Session, serve: Callable[[Session], Page]) -> Page:
+    shown = serve(session)
     press(shown, "Surface")
     bar(shown, "Height").wait_for()
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
+    return shown
 
 
 def bar(page: Page, title: str) -> Locator:

@@ -50,4 +50,3 @@ def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_b
     expect(page.locator(".wv-stack")).to_have_count(0)
     page.keyboard.press("Escape")
     expect(page.locator(".wv-alone")).to_have_count(0)
-    session.close()

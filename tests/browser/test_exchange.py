@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,6 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.steps import eventually, press, text_field, type_into
-from wafer_viewer.gui.app import start
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.exporters import export
@@ -24,7 +23,7 @@ pytestmark = [
 
 
 @pytest.fixture
-def session(tmp_path: Path):
+def session(tmp_path: Path) -> Iterator[Session]:
     opened = Session(tmp_path)
     yield opened
     opened.close()
@@ -48,28 +47,22 @@ def a_part() -> HeightMap:
     )
 
 
-def test_a_file_of_another_program_is_opened_measured_and_exported(
-    session: Session, look_at: Callable[[str], Page], tmp_path: Path
-):
-    part = tmp_path / "part.x3p"
+def test_a_file_of_another_program_is_opened_measured_and_exported(session: Session, page: Page):
+    folder = session.snapshot.data_folder
+    part = folder / "part.x3p"
     export(a_part(), part)
-    running = start(session)
-    try:
-        page = look_at(running.address)
-        press(page, "Open a dataset…")
-        type_into(page, "Path", str(part))
-        page.get_by_role("dialog").get_by_role("button", name="Open", exact=True).click()
-        expect(page.locator("body")).to_contain_text("200 × 160 points")
-        expect(page.locator("body")).to_contain_text("uncalibrated")
-        eventually(lambda: session.snapshot.surface is not None, "the surface is known")
-        page.keyboard.press("Shift+E")
-        dialog = page.get_by_role("dialog")
-        dialog.get_by_label("Format").click()
-        page.get_by_role("option", name="GSF, Gwyddion's simple field").click()
-        expect(dialog).to_contain_text("It holds heights only")
-        expect(text_field(page, "File name")).to_have_value("part.gsf")
-        dialog.get_by_role("button", name="Export", exact=True).click()
-        eventually(lambda: (tmp_path / "part.gsf").exists(), "the file is written")
-    finally:
-        running.stop()
-    np.testing.assert_allclose(read_surface(tmp_path / "part.gsf").z_um, a_part().z_um, atol=1e-5)
+    press(page, "Open a dataset…")
+    type_into(page, "Path", str(part))
+    page.get_by_role("dialog").get_by_role("button", name="Open", exact=True).click()
+    expect(page.locator("body")).to_contain_text("200 × 160 points")
+    expect(page.locator("body")).to_contain_text("uncalibrated")
+    eventually(lambda: session.snapshot.surface is not None, "the surface is known")
+    page.keyboard.press("Shift+E")
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Format").click()
+    page.get_by_role("option", name="GSF, Gwyddion's simple field").click()
+    expect(dialog).to_contain_text("It holds heights only")
+    expect(text_field(page, "File name")).to_have_value("part.gsf")
+    dialog.get_by_role("button", name="Export", exact=True).click()
+    eventually(lambda: (folder / "part.gsf").exists(), "the file is written")
+    np.testing.assert_allclose(read_surface(folder / "part.gsf").z_um, a_part().z_um, atol=1e-5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,6 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.reviewed_session import reviewed_session
 from tests.browser.sessions.stitched_session import StitchedSession
 from tests.browser.steps import eventually, go_to, notes, numbers, press, text_field, title_is
-from wafer_viewer.gui.app import start
 from wafer_viewer.gui.overlays.screenshot import PRINT_WIDTH_PX
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError
@@ -30,7 +29,7 @@ pytestmark = [
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[StitchedSession]:
+def session(tmp_path: Path) -> StitchedSession:
     """A stitched surface with two results."""
     made = StitchedSession(3, 3)
     step = fake.a_step(Region.rectangle(-80, 0, -20, 40), Region.rectangle(20, 0, 80, 40))
@@ -38,19 +37,15 @@ def session(tmp_path: Path) -> Iterator[StitchedSession]:
     results = (fake.dataclass_named(step, "Die to trench", 1), fake.dataclass_named(line, "Across the drop", 2))
     made.change(findings=results)
     made.papers.folder = tmp_path
-    yield made
-    made.close()
+    return made
 
 
 @pytest.fixture
-def page(session: StitchedSession, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    running = start(session)
-    shown = look_at(running.address)
+def page(session: StitchedSession, serve: Callable[[StitchedSession], Page]) -> Page:
+    shown = serve(session)
     go_to(shown, "Surface")
     expect(shown.locator("[data-floating-window]", has_text="not measured").last).to_be_visible()
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
+    return shown
 
 
 def test_a_view_is_saved_and_come_back_to(page: Page, session: StitchedSession, look_at):
@@ -114,10 +109,8 @@ def test_results_are_reviewed_by_keyboard_alone(page: Page, session: StitchedSes
     eventually(lambda: note(session) == "", "the note is taken back")
 
 
-def test_features_of_a_verdict_are_reviewed_the_gravest_first(look_at: Callable[[str], Page]):
-    session = reviewed_session()
-    running = start(session)
-    page = look_at(running.address)
+def test_features_of_a_verdict_are_reviewed_the_gravest_first(serve: Callable[[StitchedSession], Page]):
+    page = serve(reviewed_session())
     go_to(page, "Review")
     title_is(page, re.compile("F2 · Die 2 over street"))
     expect(page.locator("tr[data-pick=review]").nth(1)).to_contain_text("INCONCLUSIVE")
@@ -131,9 +124,6 @@ def test_features_of_a_verdict_are_reviewed_the_gravest_first(look_at: Callable[
     expect(page.get_by_role("button", name="Undo", exact=True)).to_be_disabled()
     page.reload()
     title_is(page, re.compile("F3 · Die 3 over street"))
-    page.goto("about:blank")
-    running.stop()
-    session.close()
 
 
 def note(session: StitchedSession) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.conftest import PATIENCE_MS
+from tests.browser.kept_page import PATIENCE_MS
 from tests.browser.sessions.gauge_blocks import CERTIFICATE_TOML, dataset_of_blocks
 from tests.browser.steps import (
     camera_at_rest,

@@ -9,7 +9,8 @@ from contextlib import suppress
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.browser.conftest import PATIENCE_MS, WINDOW
+from tests.browser.conftest import WINDOW
+from tests.browser.kept_page import PATIENCE_MS
 from tests.browser.sessions.seen_session import SeenSession
 from tests.browser.steps import ANSWER_MS, eventually, go_to
 from wafer_viewer.gui.app import start

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.browser.audit import SMALL_PICTURE
-from tests.browser.conftest import PATIENCE_MS
-from tests.browser.screens import hide_viser_warning
+from tests.browser.kept_page import a_page
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.fake_session import FakeSession
 from wafer_viewer.gui.app import start
@@ -29,10 +27,7 @@ def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     network = NetworkAccess(page_certificate(tmp_path, HOST, None, None), PasswordHash.of(GOOD))
     running = start(FakeSession(fake.empty()), HOST, network=network)
     context = browser.new_context(ignore_https_errors=True)
-    context.add_init_script(SMALL_PICTURE)
-    hide_viser_warning(context)
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
+    page = a_page(context)
     page.goto(running.public_origin)
     yield page
     context.close()

@@ -181,7 +181,7 @@ def test_what_needs_a_person_is_told_again_after_a_reload_until_it_is_dealt_with
     expect(page.locator(".wv-note.fault", has_text="The folder is full")).to_have_count(0)
 
 
-def test_a_page_that_is_closed_leaves_nothing_behind(serve: Serve, monkeypatch: pytest.MonkeyPatch):
+def test_a_page_that_is_closed_leaves_nothing_behind(serve_anew: Serve, monkeypatch: pytest.MonkeyPatch):
     made: list[weakref.ref[object]] = []
     build = app.build_page
 
@@ -193,7 +193,7 @@ def test_a_page_that_is_closed_leaves_nothing_behind(serve: Serve, monkeypatch: 
     monkeypatch.setattr(app, "build_page", build_and_note)
     gc.disable()  # what goes is what the viewer frees itself
     try:
-        page = serve(FakeSession(fake.measured()))
+        page = serve_anew(FakeSession(fake.measured()))
         holder(page)
         (found,) = made
         assert found() is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
@@ -28,10 +28,8 @@ KEYS = {"point": "x", "distance": "m", "step": "k", "radius": "r", "flatness": "
 
 
 @pytest.fixture
-def session() -> Iterator[MeasuringSession]:
-    made = MeasuringSession()
-    yield made
-    made.close()
+def session() -> MeasuringSession:
+    return MeasuringSession()
 
 
 @pytest.fixture

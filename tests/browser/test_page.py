@@ -34,8 +34,36 @@ pytestmark = [
 Serve = Callable[[fake.FakeSession], Page]
 
 
+FACTS = """() => [
+  [...new Set(document.body.innerText.split('\\n'))].sort(),
+  document.documentElement.dataset.mantineColorScheme, document.activeElement.tagName, innerWidth,
+  [...document.querySelectorAll('[data-dock-region] input')].filter(e => !/^(ws:|\\{)/.test(e.value))
+    .map(e => [e.value, e.checked, e.disabled]),
+  [...document.querySelectorAll('[data-dock-region], [data-floating-window], canvas')].map(e => {
+    const box = e.getBoundingClientRect();
+    return [box.x, box.y, box.width, box.height].map(Math.round).join();
+  }).sort(),
+]"""
+
+
 def verbs(session: fake.FakeSession) -> list[str]:
     return [name for name, _, _ in session.asked]
+
+
+def test_a_page_that_is_kept_shows_the_next_session_as_a_new_browser_does(serve: Serve, serve_anew: Serve):
+    used = serve(fake.FakeSession(fake.measured()))
+    go_to(used, "Surface")
+    used.locator("[data-pick=theme]").click()
+    used.set_viewport_size({"width": 1600, "height": 900})
+    used.locator("[data-dock-region-collapse=right]").click()
+    used.keyboard.press("Control+o")
+    text_field(used, "Path").fill("/somewhere")
+    new = serve_anew(fake.FakeSession(fake.planned()))
+    kept = serve(fake.FakeSession(fake.planned()))
+    for page in (new, kept):
+        expect(page.get_by_text("9 fields")).to_be_visible()
+        expect(page.locator(".wv-strip")).to_contain_text("You hold the controls")
+    eventually(lambda: kept.evaluate(FACTS) == new.evaluate(FACTS), "both are the same", 20)
 
 
 def test_the_first_start_offers_the_ways_in(serve: Serve):

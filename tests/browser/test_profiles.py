@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,6 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, numbers, press, put, set_numbers
-from wafer_viewer.gui.app import start
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -24,18 +23,13 @@ ROW_OF_HOLE = 398
 
 
 @pytest.fixture
-def cutting(look_at: Callable[[str], Page]) -> Iterator[Page]:
+def cutting(serve: Callable[[MeasuringSession], Page]) -> Page:
     """A page whose first line lies on the surface."""
-    session = MeasuringSession()
-    running = start(session)
-    page = look_at(running.address)
+    page = serve(MeasuringSession())
     page.get_by_role("button", name="Measure", exact=True).first.click()
     page.locator("[data-pick=tool][data-k=profile]").first.click()
     expect(curve(page, "A")).to_have_count(1)
-    yield page
-    page.goto("about:blank")
-    running.stop()
-    session.close()
+    return page
 
 
 def curve(page: Page, name: str) -> Locator:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -28,10 +28,8 @@ TOLD = {
 
 
 @pytest.fixture
-def session() -> Iterator[ShapedSession]:
-    made = ShapedSession()
-    yield made
-    made.close()
+def session() -> ShapedSession:
+    return ShapedSession()
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -25,10 +25,8 @@ Serve = Callable[[fake.FakeSession], Page]
 
 
 @pytest.fixture
-def stitched() -> Iterator[StitchedSession]:
-    session = StitchedSession(3, 3, coarse=4)
-    yield session
-    session.close()
+def stitched() -> StitchedSession:
+    return StitchedSession(3, 3, coarse=4)
 
 
 def panel(page: Page) -> Locator:

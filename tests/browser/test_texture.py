@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
@@ -19,10 +19,8 @@ pytestmark = [
 
 
 @pytest.fixture
-def session() -> Iterator[MeasuringSession]:
-    made = MeasuringSession()
-    yield made
-    made.close()
+def session() -> MeasuringSession:
+    return MeasuringSession()
 
 
 @pytest.fixture

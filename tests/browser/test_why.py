@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 
 import pytest
@@ -27,10 +27,8 @@ FOCUS_PLOT = ".wv-plot:not(.wv-profiles)"
 
 
 @pytest.fixture
-def session() -> Iterator[SeenSession]:
-    made = SeenSession()
-    yield made
-    made.close()
+def session() -> SeenSession:
+    return SeenSession()
 
 
 @pytest.fixture
