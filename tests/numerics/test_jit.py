@@ -104,6 +104,15 @@ def test_kernel_is_loaded_and_not_compiled_again(monkeypatch, tmp_path):
     assert Path(again.stats.cache_path).is_relative_to(tmp_path)
 
 
+def test_on_a_full_disk_kernels_are_compiled_and_not_written(monkeypatch, tmp_path):
+    """The process that meets a full disk goes on; numba would end it with the system's error."""
+    full = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: full)
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path / "full"))
+    assert _halved(lean_kernel(_halve)) == [0.5] * 3
+    assert list(tmp_path.rglob("*.nbi")) == []
+
+
 HITS = """
 import numpy as np
 from wafer_viewer.numerics import banded_matrix

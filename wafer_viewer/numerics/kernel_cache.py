@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import os
 import re
+import shutil
 import sys
 import zlib
 from collections.abc import Iterable
@@ -21,6 +22,8 @@ from tempfile import TemporaryFile
 
 PACKAGE = Path(__file__).parent.parent
 KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
+ALL_KERNELS_BYTES = 100_000_000
+"""Free space from which kernels are written: numba raises the error of a disk that fills up meanwhile."""
 _IMPORT = re.compile(r"^\s*(?:from|import) +wafer_viewer\.([\w.]+)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 
@@ -38,13 +41,13 @@ def module_folder(module: str, file: Path) -> Path:
 
 @functools.cache
 def is_writable(folder: Path) -> bool:
-    """Return whether files can be made in a folder, which is made if it is missing."""
+    """Return whether all kernels can be written to a folder, which is made if it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
+        return shutil.disk_usage(folder).free >= ALL_KERNELS_BYTES
     except OSError:
         return False
-    return True
 
 
 def kernel_state() -> str:
