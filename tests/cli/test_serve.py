@@ -24,7 +24,8 @@ def served(quick_passwords: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 
     def run(*words: str, typed: tuple[str, ...] = ()) -> dict[str, Any]:
         got: dict[str, Any] = {}
-        session = SimpleNamespace(snapshot=SimpleNamespace(data_folder=tmp_path), close=lambda: None)
+        shown = SimpleNamespace(data_folder=tmp_path, kernels=None)
+        session = SimpleNamespace(snapshot=shown, subscribe=lambda _: None, close=lambda: None)
         monkeypatch.setattr("wafer_viewer.session.session.Session", lambda *_: session)
         monkeypatch.setattr("wafer_viewer.gui.app.serve", lambda _, host, port, **more: got.update(host=host, **more))
         lines = iter(typed)
