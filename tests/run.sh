@@ -154,6 +154,11 @@ all_campaigns() {
   rm -r "$results"
 }
 
+# All tests but those that need the machine for themselves and those of the page, whose imports alone take seconds.
+run_beside_browser() {
+  run_tests -n 2 --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $1"
+}
+
 # The modules of the Python API, where whatever a function raises itself is to be documented too.
 check_docstrings() {
   local modules
@@ -233,10 +238,10 @@ if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
   step "Layers" "$bin/lint-imports"
   start_types
   if [ "$what" = fast ]; then
-    step "Fast tests" run_tests -n 2 --dist worksteal -m "not slow and not browser and not hardware"
+    step "Fast tests" run_beside_browser "not slow"
   fi
   if [ "$what" = all ]; then
-    step "Tests, fast and slow" run_tests -n 2 --dist loadfile -m "not real_time and not browser and not hardware"
+    step "Tests, fast and slow" run_beside_browser "not hardware"
   fi
   step "Types" end_types
 fi

@@ -12,7 +12,7 @@ import re
 import socket
 from typing import Any
 
-from playwright.sync_api import BrowserContext, Page
+from playwright.sync_api import BrowserContext, Page, TimeoutError
 
 from tests.browser.screens import REMEMBERED, hide_viser_warning
 from tests.browser.sessions.fake_session import FakeSession, empty
@@ -46,17 +46,20 @@ Whoever asks the canvas for its size hears the one that it was given: the panel 
 """
 PATIENCE_MS = 120_000
 """A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
+CLOSING_MS = 20_000
+"""Windows of the program before close a while after that of the next is there, on a busy machine."""
 FIRST_PORT, N_PORTS = 20_000, 10_000
 """Below those that the system gives away by itself: nobody takes the port while no program is there."""
 AWAY = "document.hasFocus = () => false; window.dispatchEvent(new Event('blur'))"
 """viser's client tries to connect again only in a window that has the focus."""
 FORGET = "localStorage.clear(); sessionStorage.clear(); document.activeElement?.blur(); scrollTo(0, 0)"
 AGAIN = "document.hasFocus = () => true; window.dispatchEvent(new Event('focus'))"
+# The bar of a lost contact is there from the first loss on that the page notices.
 IS_NEW = """before => {
   const bar = document.querySelector('.wv-bar-over'), contact = document.querySelector('.wv-contact');
-  if (bar.classList.contains('back')) bar.click();
+  if (bar?.classList.contains('back')) bar.click();
   for (const note of document.querySelectorAll('.mantine-Notification-closeButton')) note.click();
-  return contact && contact.dataset.page !== before && !bar.classList.contains('on') &&
+  return contact && contact.dataset.page !== before && !bar?.classList.contains('on') &&
     document.querySelector('.wv-title') && !document.querySelector('.mantine-Notification-root');
 }"""
 LEFT_OPEN = """() => {
@@ -101,8 +104,11 @@ class KeptPage:
         self._running = start(session, port=int(port), token=token)
         self.page.evaluate(AGAIN)
         self.page.wait_for_function(IS_NEW, arg=before)
-        if left := self.page.evaluate(LEFT_OPEN):
-            raise AssertionError(f"A test before this one left open: {left}")
+        try:
+            self.page.wait_for_function(f"() => !({LEFT_OPEN})().length", timeout=CLOSING_MS)
+        except TimeoutError as fault:
+            left = self.page.evaluate(LEFT_OPEN)
+            raise AssertionError(f"A test before this one left open: {left}") from fault
         return self.page
 
     def _open(self) -> None:

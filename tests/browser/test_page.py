@@ -34,8 +34,9 @@ pytestmark = [
 Serve = Callable[[fake.FakeSession], Page]
 
 
+# Texts, but for the names in viser's own tree of the scene, which the page hides.
 FACTS = """() => [
-  [...new Set(document.body.innerText.split('\\n'))].sort(),
+  [...new Set(document.body.innerText.split('\\n'))].filter(text => !/^\\/\\w+$/.test(text)).sort(),
   document.documentElement.dataset.mantineColorScheme, document.activeElement.tagName, innerWidth,
   [...document.querySelectorAll('[data-dock-region] input')].filter(e => !/^(ws:|\\{)/.test(e.value))
     .map(e => [e.value, e.checked, e.disabled]),

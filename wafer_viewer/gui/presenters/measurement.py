@@ -32,6 +32,7 @@ from wafer_viewer.model.measurement.measurements import (
     Coplanarity,
     FaceAngle,
     Profile,
+    Roughness,
     Site,
     SiteRanges,
     StepHeight,
@@ -243,6 +244,18 @@ def tilted_faces(finding: FaceAngle) -> Markup:
     return html.table(["Face", "Tilt, °", "Sq", "Points"], lines, " nnn")
 
 
+def volume(finding: AreaVolume) -> Markup:
+    """Return the plane that the volume lies above and below, and the heights that count for neither."""
+    plane = "the plane through the region's border" if finding.reference == "border" else "the zero of heights"
+    noise = f"Within {with_unit(finding.noise_um, 2)} of it a height counts neither as above nor as below."
+    return small(f"Above and below {plane}.") + small(noise)
+
+
+def sampling(finding: Roughness) -> Markup:
+    """Return the number of sampling lengths, and the length of each."""
+    return html.pairs([("Sampling lengths", f"{finding.sections} × {with_unit(finding.section_um, 1)}")])
+
+
 def groove(finding: StepProfile) -> Markup:
     """Return the drawing of a groove, and its zones."""
     zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
@@ -274,6 +287,8 @@ _DRAWINGS: dict[type[AnyResult], _Drawing] = {
         tilted_faces,
         frozenset().union(*(_fields(FaceAngle, end) for end in ("_tilt_deg", "_sq_um", "_points"))),
     ),
+    AreaVolume: (volume, frozenset({"reference", "noise_um"})),
+    Roughness: (sampling, frozenset({"sections", "section_um"})),
     Chipping: (chips, frozenset()),
     Coplanarity: (bumps, frozenset()),
     SiteRanges: (sites, frozenset({"sites"})),

@@ -2,11 +2,13 @@
    no scripts in HTML, so an element says by data attributes what it is: `data-pick`, with its key in `data-k` or as the
    place of the click by `data-where`; `data-slide`; `data-drag`; `data-arrived`. */
 const HELD_MS = 2000;
-let picks = [], number = 0;
+let picks = [], number = 0, sentTo;
 /* viser sends only the last of several changes within 50 ms. The hidden field therefore holds all picks of the last two
-   seconds, each with its number, so that none is lost. latestOnly: a value replaces the previous ones, for sliders. */
+   seconds, each with its number, so that none is lost; another field is that of another connection, where nothing
+   of before is repeated. latestOnly: a value replaces the previous ones, for sliders. */
 window.wvReport = (what, key, latestOnly = false) => {
   const field = document.querySelector('div:has(>.wv-picks)+div input'), now = performance.now();
+  if (field !== sentTo) [picks, sentTo] = [[], field];
   picks = picks.filter(pick => now - pick[3] <= HELD_MS && !(latestOnly && pick[1] === what));
   picks.push([++number, what, key ?? '', now]);
   if (!field) return;
