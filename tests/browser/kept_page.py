@@ -63,7 +63,7 @@ IS_NEW = """before => {
     document.querySelector('.wv-title') && !document.querySelector('.mantine-Notification-root');
 }"""
 LEFT_OPEN = """() => {
-  const all = [...document.querySelectorAll('[role=dialog], [role=tooltip], [data-floating-window]:has(.wv-plot)')];
+  const all = [...document.querySelectorAll('[role=dialog], [role=tooltip]')];
   return all.filter(e => e.checkVisibility({ opacityProperty: true, visibilityProperty: true })).map(e => e.outerHTML);
 }"""
 
