@@ -6,6 +6,7 @@ given another program at its address instead: whatever the program made is made 
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -50,6 +51,8 @@ CLOSING_MS = 20_000
 """Windows of the program before close a while after that of the next is there, on a busy machine."""
 FIRST_PORT, N_PORTS = 20_000, 10_000
 """Below those that the system gives away by itself: nobody takes the port while no program is there."""
+_PAGES = itertools.count()
+"""Each page has a port of its own: one that waits for its program must not come to that of another."""
 AWAY = "document.hasFocus = () => false; window.dispatchEvent(new Event('blur'))"
 """viser's client tries to connect again only in a window that has the focus."""
 FORGET = "localStorage.clear(); sessionStorage.clear(); document.activeElement?.blur(); scrollTo(0, 0)"
@@ -136,7 +139,7 @@ class KeptPage:
 
 def _free_port() -> int:
     """A port that nobody listens at; other runs at the same time begin their search elsewhere."""
-    port = FIRST_PORT + os.getpid() % N_PORTS
+    port = FIRST_PORT + (os.getpid() + 1000 * next(_PAGES)) % N_PORTS
     with socket.socket() as trial:
         while trial.connect_ex(("127.0.0.1", port)) == 0:
             port += 1
