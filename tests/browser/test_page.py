@@ -64,7 +64,7 @@ def test_a_page_that_is_kept_shows_the_next_session_as_a_new_browser_does(serve:
     for page in (new, kept):
         expect(page.get_by_text("9 fields")).to_be_visible()
         expect(page.locator(".wv-strip")).to_contain_text("You hold the controls")
-    eventually(lambda: kept.evaluate(FACTS) == new.evaluate(FACTS), "both are the same", 20)
+    eventually(lambda: kept.evaluate(FACTS) == new.evaluate(FACTS), "both are the same")
 
 
 def test_the_first_start_offers_the_ways_in(serve: Serve):
