@@ -61,6 +61,7 @@ def test_scan_whose_stage_is_lost_is_reported_and_continued(page: Page, session:
     title_is(page, "The scan is unfinished")
     note = notes(page).filter(has_text="The scan stopped")
     expect(note).to_contain_text("The stage failed (No such device): check its cable and its power")
+    session.wait_until(lambda now: now.rig.state == "absent", WORK_S)
     press(page, "Continue the scan")
     title_is(page, "The scan is done")
     assert Dataset.open(session.snapshot.dataset.path).check().ok

@@ -221,7 +221,7 @@ def _why_not(snapshot: Snapshot) -> str | None:
     data, rig = snapshot.dataset, snapshot.rig
     if data is not None and data.read_only is not None:
         return data.read_only
-    return None if rig.state == "ready" else rig.message or f"the rig is {rig.state}."
+    return None if rig.can_start else rig.message or f"the rig is {rig.state}."
 
 
 def _title(snapshot: Snapshot) -> tuple[str, str]:

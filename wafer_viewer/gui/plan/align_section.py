@@ -180,7 +180,7 @@ class AlignSection:
         self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.marked_um, corner))
         set_prop(self._by_stage, "visible", not aligned)
         for handle in self._buttons:
-            set_prop(handle, "disabled", snapshot.rig.state != "ready")
+            set_prop(handle, "disabled", not snapshot.rig.can_start)
 
 
 def _fit(job: Job) -> Markup:

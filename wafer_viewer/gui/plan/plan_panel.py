@@ -334,7 +334,7 @@ class PlanPanel:
         draft, rig = snapshot.draft, snapshot.rig
         if snapshot.scanning:
             return "a scan is running."
-        if rig.state != "ready":
+        if not rig.can_start:
             return rig.message or f"the rig is {rig.state}."
         operating = snapshot.control.refusal("Job released") is not None
         if operating and not (draft.job is not None and draft.job.released):

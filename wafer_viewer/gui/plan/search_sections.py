@@ -35,7 +35,7 @@ class ExposureSection:
         """Update the button and the result."""
         draft = snapshot.draft
         released = draft.job is not None and draft.job.released
-        set_prop(self._find, "disabled", released or draft.plan is None or snapshot.rig.state != "ready")
+        set_prop(self._find, "disabled", released or draft.plan is None or not snapshot.rig.can_start)
         self._result.show(result(snapshot))
 
     def _search(self) -> None:
@@ -115,7 +115,7 @@ class FollowSection:
         if draft.job is None or follow is None:
             return
         shown = words.followed(draft, view.focus_row)
-        idle = draft.plan is not None and snapshot.rig.state == "ready"
+        idle = draft.plan is not None and snapshot.rig.can_start
         everywhere = shown is not None and len(shown.look.places) >= len(shown.plan.fields)
         set_prop(self._look, "disabled", not idle)
         set_prop(self._more, "disabled", not idle or shown is None or everywhere)

@@ -199,7 +199,7 @@ def _redraw_key(snapshot: Snapshot, view: View) -> tuple[object, ...]:
         view.on_surface,
         view.show,
         snapshot.scanning,
-        snapshot.rig.state == "ready",
+        snapshot.rig.can_start,
     )
 
 
@@ -261,7 +261,7 @@ def _hint(snapshot: Snapshot, view: View) -> Markup:
     elif snapshot.scanning:
         return Markup()
     else:
-        text = "Click a field to move the stage there." if snapshot.rig.state == "ready" else ""
+        text = "Click a field to move the stage there." if snapshot.rig.can_start else ""
     return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(text) if text else Markup()
 
 
@@ -414,7 +414,7 @@ class MapClicks:
             self._go_to_field(field.number)
         elif page.view.on_surface:
             self._fly(x_um, y_um)
-        elif snapshot.rig.state == "ready" and not self._is_elsewhere:
+        elif snapshot.rig.can_start and not self._is_elsewhere:
             self._ask_to_move(x_um, y_um)
 
     @property

@@ -198,7 +198,7 @@ def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
 
 def _watch(snapshot: Snapshot, view: View) -> Note:
     data, title = snapshot.dataset, "Watch the surface grow"
-    if data is not None and not data.finished and not snapshot.scanning and snapshot.rig.state == "ready":
+    if data is not None and not data.finished and not snapshot.scanning and snapshot.rig.can_start:
         if view.step != "acquire":
             return Note(title, Markup("The scan is unfinished. Press <b>Acquire</b>."), "Acquire")
         return Note(title, Markup("The scan is unfinished. Press <b>Continue the scan</b>."), "Continue the scan")

@@ -211,6 +211,11 @@ class RigStatus:
     homed: bool | None = None
     """True if all axes are homed; None before the rig has reported it."""
 
+    @property
+    def can_start(self) -> bool:
+        """Whether a move or a scan can be started; a rig that was lost is connected to again by it."""
+        return self.state == "ready" or (self.state in ("absent", "fault") and self.limits is not None)
+
 
 @dataclass(frozen=True, slots=True)
 class Typed:
