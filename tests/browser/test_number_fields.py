@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from itertools import cycle
 
+import msgspec
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import HAND_MS, eventually, numbers, put, text_field
+from wafer_viewer.model.acquisition.plan import FocusSweep
 
 pytestmark = [
     pytest.mark.browser,
@@ -63,7 +66,13 @@ WAYS: dict[str, Way] = {
 
 @pytest.fixture
 def session() -> fake.FakeSession:
-    return fake.FakeSession(fake.planned())
+    """Every number that is typed is a whole number of steps from the range's end, which therefore stays where it is.
+
+    A moved end would be shown with the start of the moment before, and a machine at work shows it late.
+    """
+    sweep = FocusSweep(z_step_um=0.25, n_frames=355)
+    job = msgspec.structs.replace(fake.a_job(), sweep=sweep)
+    return fake.FakeSession(dataclasses.replace(fake.planned(), draft=fake.draft_of(job)))
 
 
 def start_um(session: fake.FakeSession) -> float:
