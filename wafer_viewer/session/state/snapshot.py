@@ -213,7 +213,7 @@ class RigStatus:
 
     @property
     def can_start(self) -> bool:
-        """Whether a move or a scan can be started; a rig that was lost is connected to again by it."""
+        """True if a move or a scan can be started; a rig that was lost is connected to again by it."""
         return self.state == "ready" or (self.state in ("absent", "fault") and self.limits is not None)
 
 
