@@ -33,11 +33,13 @@ FAULTS = {
     'pale: "mm"': "document.querySelector('.wv-where').style.color = '#8FA0AF';",
     'name: input[text] "': """
         const inputs = [...document.querySelectorAll("[data-dock-region=right] .mantine-Input-input")];
-        const row = inputs.find(e => e.getBoundingClientRect().width).closest('.mantine-Flex-root');
+        const inRows = inputs.filter(e => e.getBoundingClientRect().width).map(e => e.closest('.mantine-Flex-root'));
+        const row = inRows.find(row => row);  // viser's own, folded away, are in none
         row.insertAdjacentHTML('afterend', '<input type="text" style="width: 90px; height: 20px">');""",
     "overlap: input[checkbox]": """
         const boxes = [...document.querySelectorAll("input[type=checkbox]")];
-        const [a, b] = boxes.filter(e => e.checkVisibility() && !e.disabled);
+        const folded = '[style*="; height: 0px; overflow: hidden"]';  // viser's own
+        const [a, b] = boxes.filter(e => e.checkVisibility() && !e.disabled && !e.closest(folded));
         const [p, q] = [a, b].map(e => e.getBoundingClientRect());
         b.style.transform = `translate(${p.left - q.left + 10}px, ${p.top - q.top}px)`;""",
     'markup shown as text: "<b>12</b> ': """

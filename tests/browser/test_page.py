@@ -34,9 +34,17 @@ pytestmark = [
 Serve = Callable[[fake.FakeSession], Page]
 
 
-# Texts, but for the names in viser's own tree of the scene, which the page hides.
+# Texts, but for the names in viser's own tree of the scene, which the page hides, and for its folded panels: those are
+# display: none once the end of their transition is heard of, and one from nothing to nothing may have none.
 FACTS = """() => [
-  [...new Set(document.body.innerText.split('\\n'))].filter(text => !/^\\/\\w+$/.test(text)).sort(),
+  (() => {
+    const folded = [...document.querySelectorAll('[style*="; height: 0px; overflow: hidden"]')];
+    const before = folded.map(e => e.style.display);
+    for (const e of folded) e.style.display = 'none';
+    const texts = document.body.innerText.split('\\n');
+    folded.forEach((e, k) => { e.style.display = before[k]; });
+    return [...new Set(texts)].filter(text => !/^\\/\\w+$/.test(text)).sort();
+  })(),
   document.documentElement.dataset.mantineColorScheme, document.activeElement.tagName, innerWidth,
   [...document.querySelectorAll('[data-dock-region] input')].filter(e => !/^(ws:|\\{)/.test(e.value))
     .map(e => [e.value, e.checked, e.disabled]),
