@@ -178,6 +178,18 @@ def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_
     eventually(lambda: "trials.begin" in [name for name, _, _ in session.asked], "the plan is tried")
 
 
+def test_corner_is_not_marked_where_a_lost_stage_was_last_seen(serve: Callable[..., Page]):
+    waiting = day.released(day.a_released_job("W07"))
+    rig = dataclasses.replace(waiting.rig, state="absent", message="The stage does not answer.")
+    session = fake.FakeSession(dataclasses.replace(waiting, rig=rig))
+    page = serve(session)
+    go, mark = (page.get_by_role("button", name=name, exact=True) for name in ("Go there", "Mark here"))
+    expect(go).to_be_enabled()
+    expect(mark).to_be_disabled()
+    session.change(rig=dataclasses.replace(rig, state="ready", message=""))
+    expect(mark).to_be_enabled()
+
+
 QUICK_HAND = """
 ([option, list]) => {
   option.dispatchEvent(new MouseEvent('click', { bubbles: true, detail: 1 }));

@@ -157,11 +157,9 @@ class AlignSection:
         with self._by_stage:
             go = guarded(page, "The stage did not move")(lambda _: aligning.go())
             here = guarded(page, FAILED)(lambda _: aligning.here())
-            self._buttons = (
-                command_button(page.gui, "Go there", viser.Icon.CROSSHAIR, go),
-                command_button(page.gui, "Mark here", viser.Icon.MAP_PIN, here),
-            )
-            in_a_row(page.gui, self._buttons)
+            self._go = command_button(page.gui, "Go there", viser.Icon.CROSSHAIR, go)
+            self._here = command_button(page.gui, "Mark here", viser.Icon.MAP_PIN, here)
+            in_a_row(page.gui, [self._go, self._here])
 
     def show(self, snapshot: Snapshot, visible: bool) -> None:
         """Update the section; it is empty if the job names no corners."""
@@ -179,8 +177,8 @@ class AlignSection:
         corner = self._aligning.corner(draft)
         self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.marked_um, corner))
         set_prop(self._by_stage, "visible", not aligned)
-        for handle in self._buttons:
-            set_prop(handle, "disabled", not snapshot.rig.can_start)
+        set_prop(self._go, "disabled", not snapshot.rig.can_start)
+        set_prop(self._here, "disabled", snapshot.rig.state != "ready")  # a lost stage has its last place, not its own
 
 
 def _fit(job: Job) -> Markup:
