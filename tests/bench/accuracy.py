@@ -14,38 +14,31 @@ share of each against a limit of its own; a second or two a scene. --path-traced
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
-
-from tests.bench import paper  # noqa: E402
-from tests.bench.dies import show_dies  # noqa: E402
-from tests.bench.gauge_step import show_step  # noqa: E402
-from tests.bench.peers import PEERS  # noqa: E402
-from tests.bench.recipes import BASELINE, DEFAULT, MEASURES, METHODS, Method, ungated  # noqa: E402
-from tests.bench.rig_scenes import show_rig  # noqa: E402
-from tests.bench.seen import seen  # noqa: E402
-from tests.bench.tables import met, percent, show  # noqa: E402
-from tests.bench.unseen_scenes import show_path_traced, show_scenes  # noqa: E402
-from tests.truth.layouts import HELD_OUT, PILLBOX, TUNING, Layout, Taken  # noqa: E402
-from tests.truth.unseen import FIRST_REPORTED_SEED  # noqa: E402
-from tests.truth.views import Camera  # noqa: E402
-from wafer_viewer.measure.truth_comparison import Quality, error_by_distance, quality  # noqa: E402
-from wafer_viewer.model.acquisition.focus_stack import FieldStack  # noqa: E402
-from wafer_viewer.model.spec import replace as changed  # noqa: E402
-from wafer_viewer.model.surface.focus_measures import focus_measures  # noqa: E402
-from wafer_viewer.model.surface.recipe import Recipe  # noqa: E402
-from wafer_viewer.reconstruct.field_pipeline import reconstruct  # noqa: E402
-from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS  # noqa: E402
+from tests.bench import paper
+from tests.bench.dies import show_dies
+from tests.bench.gauge_step import show_step
+from tests.bench.harness import met, percent, read_options, run_sections, show, some_of, took
+from tests.bench.peers import PEERS
+from tests.bench.recipes import BASELINE, DEFAULT, MEASURES, METHODS, Method, ungated
+from tests.bench.rig_scenes import show_rig
+from tests.bench.seen import seen
+from tests.bench.unseen_scenes import show_path_traced, show_scenes
+from tests.truth.layouts import HELD_OUT, PILLBOX, TUNING, Layout, Taken
+from tests.truth.unseen import FIRST_REPORTED_SEED
+from tests.truth.views import Camera
+from wafer_viewer.measure.truth_comparison import Quality, error_by_distance, quality
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS
 
 FALSE_UM = 4.0
 STAIR = Layout("stair", PILLBOX, 21, scene="stair")
@@ -55,25 +48,20 @@ PLANE_GOALS_UM, STAIR_GOAL = {2: 0.08, 4: 0.25}, 0.80
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How right the heights are.")
-    parser.add_argument("--quick", action="store_true", help="small frames and few of them, at most a minute")
-    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), metavar="SECTION")
-    parser.add_argument("--scenes", type=int, metavar="N", help="judge N scenes drawn by seed instead")
-    parser.add_argument("--path-traced", type=int, metavar="N", help="judge N path-traced scenes instead")
-    parser.add_argument("--from", dest="first_seed", type=int, default=FIRST_REPORTED_SEED, metavar="SEED")
-    parser.add_argument("--measures", nargs="+", choices=list(MEASURES), default=[DEFAULT.focus_measure])
-    parser.add_argument("--each", action="store_true", help="show each scene as well")
-    wanted = parser.parse_args()
-    for judge, count in ((show_scenes, wanted.scenes), (show_path_traced, wanted.path_traced)):
+    asked = read_options(
+        __doc__,
+        only=some_of(SECTIONS),
+        scenes=int,
+        path_traced=int,
+        first_seed=FIRST_REPORTED_SEED,
+        measures=some_of(MEASURES, [DEFAULT.focus_measure]),
+        each=False,
+    )
+    for judge, count in ((show_scenes, asked.scenes), (show_path_traced, asked.path_traced)):
         if count is not None:
-            if count < 1:
-                parser.error("--scenes and --path-traced need a number of scenes, 1 or more")
-            judge(count, wanted.first_seed, wanted.measures, wanted.each)
+            judge(count, asked.first_seed, asked.measures, asked.each)
             return
-    for name in wanted.only:
-        began = time.perf_counter()
-        SECTIONS[name](wanted.quick)
-        print(f"({name}: {time.perf_counter() - began:.0f} s)", flush=True)
+    run_sections(SECTIONS, asked)
 
 
 def stair(quick: bool) -> None:
@@ -188,10 +176,9 @@ def peers(quick: bool) -> None:
 
 def our_row(name: str, taken: Taken, method: Method) -> tuple[str | float, ...]:
     method(taken.stack)
-    began = time.perf_counter()
-    found = method(taken.stack)
-    seconds = time.perf_counter() - began
-    return (f"ours, {name}", *result_row(taken, found.raw_um, found.all_in_focus, seconds), "heights")
+    made = took(lambda: method(taken.stack))
+    found = made.result
+    return (f"ours, {name}", *result_row(taken, found.raw_um, found.all_in_focus, made.clock_s), "heights")
 
 
 def peer_row(name: str, taken: Taken) -> tuple[str | float, ...]:

@@ -14,10 +14,7 @@ middle of the photographs. Tuning sees seeds below 1000.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -27,16 +24,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import uniform_filter
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
-
-from tests.bench.peers import INSTALL_OPENCV, PICTURE_PEERS, importable  # noqa: E402
-from tests.bench.tables import percent, show  # noqa: E402
-from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene  # noqa: E402
-from wafer_viewer.model.acquisition.focus_stack import FieldStack  # noqa: E402
-from wafer_viewer.model.acquisition.plan import Field  # noqa: E402
-from wafer_viewer.model.surface.height_map import UNMEASURED_FROM  # noqa: E402
-from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct, search_peaks  # noqa: E402
+from tests.bench.harness import percent, read_options, show, took
+from tests.bench.peers import INSTALL_OPENCV, PICTURE_PEERS, importable
+from tests.support.paths import ROOT
+from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import UNMEASURED_FROM
+from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct, search_peaks
 
 PHOTOGRAPHS = ROOT.parent / "shared" / "data" / "pcb-stack"
 QUICK_SCENES, QUICK_SIDE, SIDE = 3, 128, 256
@@ -57,12 +52,7 @@ Maker = Callable[[FieldStack], Made]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="All-in-focus pictures beside those of focus stackers.")
-    parser.add_argument("--quick", action="store_true", help="three small scenes, and the middle of the photographs")
-    parser.add_argument("--scenes", type=int, metavar="N", default=24, help="number of drawn scenes, 24 by default")
-    parser.add_argument("--from", dest="first_seed", type=int, default=FIRST_REPORTED_SEED, metavar="SEED")
-    parser.add_argument("--photographs", type=Path, default=PHOTOGRAPHS, metavar="FOLDER")
-    wanted = parser.parse_args()
+    wanted = read_options(__doc__, scenes=24, first_seed=FIRST_REPORTED_SEED, photographs=PHOTOGRAPHS)
     for name, peer in PICTURE_PEERS.items():
         if peer.missing:
             print(f"{name}: {peer.missing}")
@@ -76,9 +66,8 @@ def makers() -> dict[str, Maker]:
 
     def by(make: Callable[[FieldStack], NDArray]) -> Maker:
         def timed(stack: FieldStack) -> Made:
-            began = time.perf_counter()
-            picture = make(stack)
-            return Made(picture, _ms(stack, time.perf_counter() - began))
+            made = took(lambda: make(stack))
+            return Made(made.result, _ms(stack, made.clock_s))
 
         return timed
 

@@ -9,20 +9,15 @@ mapped files.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import multiprocessing
 import shutil
-import threading
-import time
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 
 from tests.bench.big_mosaic import RESULT, WAFER_PX, MadeWafer, big_dataset
-from tests.bench.tables import met, show
+from tests.bench.harness import alone, highest, met, read_options, show, took
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.comparison import Comparison, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
@@ -77,15 +72,12 @@ def _moved(region: Region) -> Region:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What comparing two large surfaces takes.")
-    parser.add_argument("--quick", action="store_true", help="4 million points, under a minute")
-    side_px = QUICK_PX if parser.parse_args().quick else WAFER_PX
+    side_px = QUICK_PX if read_options(__doc__).quick else WAFER_PX
     first = big_dataset(side_px)
     again = first.with_name(f"laid-anew-{side_px}.wafer")
     try:
         _make(first, again, side_px)
-        comparison, peak_gb, seconds = _measured(again, first)
-        _report(comparison, peak_gb, seconds, side_px)
+        _report(*alone(_compare, again, first), side_px)
     finally:
         shutil.rmtree(again, ignore_errors=True)
 
@@ -100,37 +92,14 @@ def _make(first: Path, again: Path, side_px: int) -> None:
     write_mosaic(kept.mosaic_path, LaidAnew(MadeWafer(side_px)), threads=2)
 
 
-def _measured(again: Path, first: Path) -> tuple[Comparison, float, float]:
-    """The comparison, its peak memory in GB and its seconds, in a process of its own."""
-    ours, theirs = multiprocessing.Pipe()
-    child = multiprocessing.get_context("spawn").Process(target=_compare, args=(theirs, again, first))
-    child.start()
-    found = ours.recv()
-    child.join()
-    return found
-
-
-def _compare(pipe: Connection, again: Path, first: Path) -> None:
+def _compare(again: Path, first: Path) -> tuple[Comparison, float, float]:
+    """The comparison, the most memory of its process in GB, and its seconds."""
     from wafer_viewer.session.surface.comparison_job import subtract
 
-    peak, over = [0.0], threading.Event()
-    watch = threading.Thread(target=_watch, args=(peak, over))
-    watch.start()
-    begun = time.perf_counter()
     names = SurfaceName(path=str(first)), SurfaceName(path=str(again))
-    comparison = subtract(again, NAME, *names, "images", False)
-    seconds = time.perf_counter() - begun
-    over.set()
-    watch.join()
-    pipe.send((comparison, peak[0], seconds))
-
-
-def _watch(peak: list[float], over: threading.Event) -> None:
-    """The most memory of this process, in GB, without mapped files."""
-    while not over.wait(0.05):
-        lines = Path("/proc/self/status").read_text().splitlines()
-        now = next(float(line.split()[1]) for line in lines if line.startswith("RssAnon")) * 1024e-9
-        peak[0] = max(peak[0], now)
+    with highest(every_s=0.05) as peak_mb:
+        compared = took(lambda: subtract(again, NAME, *names, "images", False))
+    return compared.result, peak_mb[0] * 1024**2 / 1e9, compared.clock_s
 
 
 def _report(comparison: Comparison, peak_gb: float, seconds: float, side_px: int) -> None:

@@ -19,23 +19,19 @@ for tuning; --from: the first seed.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from tests.bench.tables import percent, show
+from tests.bench.harness import percent, read_options, show, some_of
 from tests.support.bumped_surface import bumped
 from tests.support.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
 from tests.truth.smooth_scenes import Optics, drawn_optics, stack_of
+from tests.truth.unseen import FIRST_REPORTED_SEED, use_of
 from wafer_viewer.measure.texture.areal_texture import texture
 from wafer_viewer.measure.tools.angle import face_angle
 from wafer_viewer.measure.tools.coplanarity import coplanarity
@@ -54,7 +50,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.normal_statistics import HALF_NORMAL_MEDIAN
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
-RUNS, QUICK_RUNS, FIRST_SEED = 200, 5, 1000
+RUNS, QUICK_RUNS = 200, 5
 STACKS, QUICK_STACKS = 60, 3
 CORRELATIONS_PX = (0.0, 3.0, 9.0, 16.0, 32.0)
 NOISE_UM, WINDOW_PX = 0.1, 9
@@ -344,25 +340,26 @@ def show_reconstructed(names: Sequence[str], seeds: range) -> None:
             off = f"{np.sqrt(np.nanmean(of_u**2)):.2f}", f"{np.nanmedian(of_u) / HALF_NORMAL_MEDIAN:.2f}"
             shares = [part[quantity].counted if quantity in part else "" for part in parts.values()]
             rows.append((quantity, whole.verdict, *off, *shares))
-    use = "tuning" if seeds.start < FIRST_SEED else "reporting"
     header = ("U covers, % of the stacks", "goal", "rms of error / u", "median, of a normal one", *CELLS)
-    show(f"SIMULATED stacks, {len(seeds)} of each sample, seeds from {seeds.start} ({use})", header, rows)
+    show(
+        f"SIMULATED stacks, {len(seeds)} of each sample, seeds from {seeds.start} ({use_of(seeds.start)})", header, rows
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--runs", type=int, default=RUNS)
-    parser.add_argument("--from", type=int, default=FIRST_SEED, dest="first")
-    parser.add_argument("--only", nargs="+", choices=SAMPLES, default=list(SAMPLES), metavar="TOOL")
-    parser.add_argument("--correlation", type=float, nargs="+", default=CORRELATIONS_PX, metavar="PX")
-    parser.add_argument("--reconstructed", type=int, nargs="?", const=STACKS, metavar="N", help="stacks of each sample")
-    asked = parser.parse_args()
+    asked = read_options(
+        __doc__,
+        runs=RUNS,
+        first_seed=FIRST_REPORTED_SEED,
+        only=some_of(SAMPLES),
+        correlation=CORRELATIONS_PX,
+        reconstructed={"type": int, "nargs": "?", "const": STACKS, "metavar": "N", "help": "stacks of each sample"},
+    )
     if asked.reconstructed:
         stacks = QUICK_STACKS if asked.quick else asked.reconstructed
-        show_reconstructed(asked.only, range(asked.first, asked.first + stacks))
+        show_reconstructed(asked.only, range(asked.first_seed, asked.first_seed + stacks))
         return
-    seeds = range(asked.first, asked.first + (QUICK_RUNS if asked.quick else asked.runs))
+    seeds = range(asked.first_seed, asked.first_seed + (QUICK_RUNS if asked.quick else asked.runs))
     rows: dict[str, list[str]] = {}
     for name in asked.only:
         began = time.perf_counter()
@@ -373,12 +370,8 @@ def main() -> None:
                 rows.setdefault(quantity, []).append(told)
         print(f"({name}: {time.perf_counter() - began:.0f} s)", flush=True)
     header = ("U covers, % of the runs (rms of error / u)", *(f"over {px:g} px" for px in asked.correlation))
-    use = "tuning" if asked.first < FIRST_SEED else "reporting"
-    show(
-        f"SIMULATED noise of {NOISE_UM} um, {len(seeds)} runs each, seeds from {asked.first} ({use})",
-        header,
-        [(quantity, *told) for quantity, told in rows.items()],
-    )
+    runs = f"{len(seeds)} runs each, seeds from {asked.first_seed} ({use_of(asked.first_seed)})"
+    show(f"SIMULATED noise of {NOISE_UM} um, {runs}", header, [(quantity, *told) for quantity, told in rows.items()])
 
 
 if __name__ == "__main__":

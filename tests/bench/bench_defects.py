@@ -11,17 +11,10 @@ Goals: 0.95 captured of 6 sigma and 6 px, and of 3 sigma and 20 px; at most 0.1 
 
 from __future__ import annotations
 
-import argparse
 import math
-import resource
-import sys
-import time
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.bench.defects_speed import show_speed
-from tests.bench.tables import Cell, met, percent, show
+from tests.bench.harness import Cell, met, peak_mb, percent, read_options, show, took
 from tests.support.noisy_wafer import Planted, Wafer, scattered, wafer
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.model.inspection.defect import Inspection
@@ -35,26 +28,19 @@ CASES = ((6.0, 6.0), (20.0, 3.0), (40.0, 6.0))
 """Diameter in px, height in sigma."""
 
 
-def main() -> int:
-    """All cases, then the time that they took."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--quick", action="store_true", help="a wafer of 2.3 Mpx")
-    options.add_argument("--speed", action="store_true", help="only seconds and memory, of mosaics on disk")
-    options.add_argument("--seed", type=int, default=1)
-    given = options.parse_args()
+def main() -> None:
+    given = read_options(__doc__, speed=False, seed=1)
     if given.speed:
         show_speed(given.quick)
-        return 0
+        return
     side = QUICK if given.quick else FULL
     shape = (side * (DIE_PX + STREET_PX), side * (DIE_PX + STREET_PX))
     inspect((clean := made(side, given.seed, ())).surface, clean.grid)
     rows = [case(side, given.seed, ())]
     rows += [case(side, given.seed + k, scattered(k, N_PLANTED, shape, *c)) for k, c in enumerate(CASES, 1)]
-    header = ("Planted", "Mpx", "captured", "%", "goal", "false", "per mm2", "goal", "foretold", "s", "cpu s", "goal")
+    header = "Planted | Mpx | captured | % | goal | false | per mm2 | goal | foretold | s | cpu s | goal"
     show("Defects on noisy height maps", header, rows)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"\nPeak memory, the wafers themselves with it: {peak:.2f} GB (goal {GIGABYTES:g} GB).")
-    return 0
+    print(f"\nPeak memory, the wafers themselves with it: {peak_mb() / 1e3:.2f} GB (goal {GIGABYTES:g} GB).")
 
 
 def made(side: int, seed: int, planted: tuple[Planted, ...]) -> Wafer:
@@ -65,28 +51,16 @@ def made(side: int, seed: int, planted: tuple[Planted, ...]) -> Wafer:
 def case(side: int, seed: int, planted: tuple[Planted, ...]) -> list[Cell]:
     """One line of the table."""
     of = made(side, seed, planted)
-    start, cpu = time.perf_counter(), time.process_time()
-    found = inspect(of.surface, of.grid)
-    took, cpu_took = time.perf_counter() - start, time.process_time() - cpu
+    inspected = took(lambda: inspect(of.surface, of.grid))
+    found = inspected.result
     hits, false = judged(of, found)
     mpx = of.surface.z_um.size / 1e6
     per_mm2 = false / found.inspected_mm2
     share = hits / len(planted) if planted else math.nan
     name = f"{planted[0].size_px:g} px, {planted[0].height_sigma:g} sigma" if planted else "none"
     captured = [f"{hits}/{len(planted)}", percent(share), met(share, CAPTURE, True)] if planted else [None, None, None]
-    foretold = found.expected_false_per_mm2
-    return [
-        name,
-        mpx,
-        *captured,
-        false,
-        per_mm2,
-        met(per_mm2, FALSE_PER_MM2),
-        foretold,
-        took,
-        cpu_took,
-        met(took, SECONDS * mpx / 9),
-    ]
+    goals = met(per_mm2, FALSE_PER_MM2), met(inspected.clock_s, SECONDS * mpx / 9)
+    return [name, mpx, *captured, false, per_mm2, goals[0], found.expected_false_per_mm2, *inspected.both, goals[1]]
 
 
 def judged(of: Wafer, found: Inspection) -> tuple[int, int]:
@@ -100,4 +74,4 @@ def judged(of: Wafer, found: Inspection) -> tuple[int, int]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -12,11 +12,7 @@ what each wafer gave, and a stopped run goes on. Words of SEMI M50: capture rate
 
 from __future__ import annotations
 
-import argparse
-import json
 import secrets
-import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -24,12 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
 from tests.bench.defects_paper import show_paper
 from tests.bench.defects_record import Hit, Wafer, recorded
 from tests.bench.defects_speed import show_speed
-from tests.bench.tables import Cell, met, percent, show
+from tests.bench.harness import Cell, keep_run, met, percent, read_options, read_runs, show, took
 from tests.truth.defects import Plan, make
 from tests.truth.matching import Rate, false_limit_per_mm2
 from tests.truth.planted import DIAMETERS_PX, GEOMETRIC, HEIGHTS_SIGMA
@@ -44,7 +38,9 @@ QUICK = Plan(cols=5, rows=4)
 
 
 def main() -> None:
-    given = options()
+    given = read_options(
+        __doc__, wafers=20, seed=int, keep=Path, sensitivity=DefectRecipe().sensitivity, paper=False, speed=False
+    )
     if given.paper:
         show_paper(given.quick)
     elif given.speed:
@@ -57,43 +53,29 @@ def main() -> None:
         show_all(inspected(quick if given.quick else plans, given.keep, recipe), first)
 
 
-def options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one small wafer, within 20 s")
-    parser.add_argument("--wafers", type=int, default=20, help="wafers of 9 x 8 dies, 1.25 mm2 each")
-    parser.add_argument("--seed", type=int, help="of the first wafer")
-    parser.add_argument("--keep", type=Path, help="where results of wafers are kept")
-    parser.add_argument("--sensitivity", type=float, default=DefectRecipe().sensitivity, help="the dial, 0 to 1")
-    parser.add_argument("--paper", action="store_true", help="the virtual rig's wafer")
-    parser.add_argument("--speed", action="store_true", help="large mosaics")
-    return parser.parse_args()
-
-
 def inspected(plans: Sequence[Plan], keep: Path | None, recipe: DefectRecipe) -> list[Wafer]:
     """What every wafer gave; those that a file holds are not made again."""
-    lines = keep.read_text().splitlines() if keep and keep.exists() else []
-    known = [Wafer.read(json.loads(line)) for line in lines]
+    known = [Wafer.read(run) for run in read_runs(keep)]
     for plan in plans:
-        if len(known) >= len(plans):
-            break
-        if plan.seed not in {wafer.seed for wafer in known}:
+        if len(known) < len(plans) and plan.seed not in {wafer.seed for wafer in known}:
             known.append(one_wafer(plan, recipe))
-            if keep:
-                with keep.open("a") as file:
-                    file.write(json.dumps(asdict(known[-1])) + "\n")
+            keep_run(keep, asdict(known[-1]))
     return known
 
 
 def one_wafer(plan: Plan, recipe: DefectRecipe) -> Wafer:
     """Make a wafer and inspect it."""
     made = make(plan)
-    begin = time.perf_counter()
-    try:
-        found = inspect(made.surface, find_dies(made.surface), recipe)
-    except MeasureError as refused:
-        print(f"Wafer {plan.seed} was refused, all of it counts as missed: {refused}", flush=True)
-        found = Inspection()
-    return recorded(made, found, time.perf_counter() - begin)
+
+    def inspection() -> Inspection:
+        try:
+            return inspect(made.surface, find_dies(made.surface), recipe)
+        except MeasureError as refused:
+            print(f"Wafer {plan.seed} was refused, all of it counts as missed: {refused}", flush=True)
+            return Inspection()
+
+    inspected = took(inspection)
+    return recorded(made, inspected.result, inspected.clock_s)
 
 
 def show_all(wafers: Sequence[Wafer], first: int) -> None:

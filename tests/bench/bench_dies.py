@@ -10,7 +10,6 @@ optics, dies half a pixel off their places.
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.bench.die_scenes import LATTICES, NO_LATTICES, Dice, Thrown
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show
 from tests.support.patterned_surface import Wafer
 from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import MeasureError
@@ -29,7 +28,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 
 RIGHT_PX, SEEN_PX = 0.5, 1.5
 """How far dies may lie off at most; through the optics, where each lies 0.5 px (k = 1) off its lattice itself."""
-HEADER = ["wafers", "n", "right", "refused", "wrong", "pitch off, px", "worst", "corner off, px", "worst", "s each"]
+HEADER = "wafers | n | right | refused | wrong | pitch off, px | worst | corner off, px | worst | s each"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +41,7 @@ class Outcome:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one wafer of every other kind")
-    parser.add_argument("--wafers", type=int, default=10, help="of each kind")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="kinds that have this word in their name")
-    parser.add_argument("--optics", type=int, default=0, help="so many wafers seen through the virtual optics")
-    asked = parser.parse_args()
+    asked = read_options(__doc__, wafers=10, seed=1, only="", optics={"type": int, "default": 0})
     n, step = (1, 2) if asked.quick else (asked.wafers, 1)
     rows = [
         [name, *_row([_outcome(thrown, dice) for dice in _dice(asked.seed, name, n)], thrown in NO_LATTICES.values())]

@@ -9,17 +9,15 @@ with other work to do varies a lot: the least of some passes, and the median.
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show, took
 from tests.support.plans import plan_without_motion
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
@@ -32,14 +30,11 @@ N_FRAMES, RATE_HZ, PIXEL_UM = 60, 60.0, 0.46729
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="the small camera, 6 passes of each kind")
-    parser.add_argument("--folder", type=Path, help="where to write")
-    arguments = parser.parse_args()
+    arguments = read_options(__doc__, folder=Path)
     rows = []
     for size in (SMALL,) if arguments.quick else (SMALL, FULL):
         rows.append(row(size, 6 if arguments.quick else 12, arguments.folder))
-    header = ("camera", "MB a pass", "ms without", "ms with", "ratio", "median ratio", "waits' share of the rig's 1 s")
+    header = "camera | MB a pass | ms without | ms with | ratio | median ratio | waits' share of the rig's 1 s"
     show(f"Passes of {N_FRAMES} frames, least of some", header, rows)
 
 
@@ -77,26 +72,15 @@ def pass_s(writer: DatasetWriter, number: int, field: int, image: Image) -> floa
     shots = tuple(Shot(field, k) for k in range(N_FRAMES))
     train = PulseTrain(axis="z", first_count=0, counts_per_frame=20, n_frames=N_FRAMES, direction=1)
     leg = Leg(train=train, shots=shots, x_um=0.0, y_um=0.0, z_um=0.0, speed_um_s=50.0)
-    begin = time.perf_counter()
-    writer.pass_begun(number, leg)
-    for shot in shots:
-        writer.frame(frame(shot, image))
-    writer.pass_ended(number, PulseSummary(N_FRAMES, 0, 0, N_FRAMES))
-    return time.perf_counter() - begin
 
+    def write() -> None:
+        writer.pass_begun(number, leg)
+        for shot in shots:
+            at = (20 * shot.k, 0.0, 0.0, 2.0 * shot.k)
+            writer.frame(Frame(shot, *at, 100.0, 17_000 * shot.k, FrameStatus.OK, image))
+        writer.pass_ended(number, PulseSummary(N_FRAMES, 0, 0, N_FRAMES))
 
-def frame(shot: Shot, image: Image) -> Frame:
-    return Frame(
-        shot=shot,
-        pulse_count=20 * shot.k,
-        x_um=0.0,
-        y_um=0.0,
-        z_um=2.0 * shot.k,
-        exposure_us=100.0,
-        device_time_us=17_000 * shot.k,
-        status=FrameStatus.OK,
-        image=image,
-    )
+    return took(write).clock_s
 
 
 @contextmanager

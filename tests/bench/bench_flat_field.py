@@ -9,17 +9,14 @@ mean square difference of the grey of two fields beside each other, over blocks 
 
 from __future__ import annotations
 
-import argparse
 import io
-import sys
 import tempfile
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import read_options
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.job import Job
@@ -40,10 +37,7 @@ DRAWN, GREYS = 6, 12
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Grey of a stitched picture with and without a flat field.")
-    parser.add_argument("--quick", action="store_true", help="small fields")
-    parser.add_argument("--figure", type=Path, help="write both pictures")
-    chosen = parser.parse_args()
+    chosen = read_options(__doc__, figure=Path)
     shape = (180, 240) if chosen.quick else (540, 720)
     pictures = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -10,18 +10,13 @@ pixels that are too bright in 2 % of the frames, at least one, so that a short s
 
 from __future__ import annotations
 
-import argparse
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench.bench_plan import JOBS, LIMITS
 from tests.bench.bench_wafer import WAFER_UM
-from tests.bench.tables import met, percent, show
+from tests.bench.harness import met, percent, read_options, show
 from tests.support.bowed_wafer import BowedWafer, bowed_rig
 from wafer_viewer.acquire.focus.coarse_look import LookForFocus
 from wafer_viewer.acquire.focus.windows import plan_following
@@ -69,9 +64,7 @@ class Found:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Following the focus against the whole sweep.")
-    parser.add_argument("--quick", action="store_true", help="one wafer and two of its fields, under half a minute")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     seeds, n_fields = (range(1000, 1001), 2) if quick else (range(1000, 1004), 5)
     found = [follow(seed, n_fields) for seed in seeds]
     show_wafers(found)

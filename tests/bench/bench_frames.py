@@ -10,15 +10,13 @@ best of some rounds, in time of one processor, which other work on the machine c
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show, took
 from tests.support.plans import plan_without_motion
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Shot
@@ -39,10 +37,7 @@ PIXEL_UM, ROUNDS = 0.46729, 2
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="the small camera, one scene, 16 frames")
-    parser.add_argument("--dataset", type=Path, help="measure the first field of this dataset")
-    arguments = parser.parse_args()
+    arguments = read_options(__doc__, dataset=Path)
     if arguments.dataset is not None:
         data = Dataset.open(arguments.dataset)
         stack = data.stack(data.fields[0].number, 0)
@@ -73,14 +68,12 @@ def show_field(name: str, images: Image) -> None:
         reconstruct(data.stack(1))  # kernels are compiled or loaded
         rows = [row(data, codec, mb, raw_bytes) for codec in CODECS]
     shape = f"{len(images)} frames of {images.shape[2]} x {images.shape[1]} px, {mb:.0f} MB"
-    header = ("compression", "ratio", "compress MB/s", "read MB/s", "verified MB/s", "heights s")
+    header = "compression | ratio | compress MB/s | read MB/s | verified MB/s | heights s"
     show(f"{name}: {shape}; OME-XML {header_ms:.1f} ms", header, rows)
 
 
 def row(data: Dataset, codec: str, mb: float, raw_bytes: int) -> tuple[str | float, ...]:
-    begun = time.process_time()
-    data.compress(codec)
-    compress_s = time.process_time() - begun
+    compress_s = took(lambda: data.compress(codec)).processor_s
     path, shape = frames_file(data.path, data.fields[0]), data.scan.pages(data.fields[0])
     read_s = seconds(lambda: map_pages(path, shape).sum() if codec == "none" else decode_pages(path, shape))
 
@@ -107,13 +100,8 @@ def stored(path: Path, images: Image) -> Dataset:
 
 
 def seconds(work: Callable[[], object], rounds: int = ROUNDS) -> float:
-    """The shortest processor time of some rounds, all threads together."""
-    times: list[float] = []
-    for _ in range(rounds):
-        begun = time.process_time()
-        work()
-        times.append(time.process_time() - begun)
-    return min(times)
+    """The least time of the processor, all threads together."""
+    return took(work, rounds).processor_s
 
 
 if __name__ == "__main__":

@@ -29,9 +29,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show
 from tests.support.killed_programs import PLAN, Commands, Ended, content, left_behind
 from tests.support.struck_command import BALLAST
 from wafer_viewer.store.dataset.result import DRAWING
@@ -79,7 +77,7 @@ KINDS = {
     "settings": ("session.json",),
     "lock": ("/lock",),
 }
-HEADER = ("kind of write", "cases", "no sentence", "half-written", "left", "does not continue")
+HEADER = "kind of write | cases | no sentence | half-written | left | does not continue"
 
 
 @dataclass
@@ -204,14 +202,7 @@ def cases(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--cases", type=int, default=FULL, help="half of the most cases of a kind of write and operation"
-    )
-    parser.add_argument("--from", dest="seed", type=int, default=1000, metavar="SEED", help="seed of the choice")
-    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="kinds of write or commands")
-    parser.add_argument("--quick", action="store_true", help="one case of each kind")
-    arguments = parser.parse_args()
+    arguments = read_options(__doc__, cases=FULL, first_seed=1000, only=[])
     enter_namespace()
     with tempfile.TemporaryDirectory() as place, Commands(Path(place)) as commands:
         measure(Path(place), commands, arguments)
@@ -236,7 +227,7 @@ def measure(folder: Path, commands: Commands, arguments: argparse.Namespace) -> 
     if has_own:
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "none", str(disk)], check=True)
     rows, begun = dict[str, Row](), time.monotonic()
-    bench, rng = Bench(folder, commands), random.Random(arguments.seed)
+    bench, rng = Bench(folder, commands), random.Random(arguments.first_seed)
     hows = ("fill", "full") if has_own else ("full",)
     most = QUICK if arguments.quick else arguments.cases
     for kind, command, how, at in cases(bench, rng, most, arguments.only, hows):

@@ -11,7 +11,6 @@ status 1 if there is a fault.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 import tempfile
@@ -19,20 +18,17 @@ import time
 import warnings
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show
 from tests.support.fuzzing import feed, inputs, memory_limit_mb
 from tests.support.outside_readers import OutsideReader, outside_readers
 
 FULL, QUICK = 2000, 100
-FIRST_SEED = 1000
-HEADER = ("reader", "inputs", "refused", "faults", "slowest [s]", "most [MB]")
+HEADER = "reader | inputs | refused | faults | slowest [s] | most [MB]"
 
 
 def main() -> None:
     """Feed all readers, and print a table and the faults."""
-    arguments = _arguments()
+    arguments = read_options(__doc__, inputs=int, first_seed=1000, only=[])
     n_inputs = arguments.inputs or (QUICK if arguments.quick else FULL)
     seeds = range(arguments.first_seed, arguments.first_seed + n_inputs)
     warnings.simplefilter("ignore")
@@ -68,15 +64,6 @@ def _fed(
             faults.append(f"{reader.name}, seed {seed}: {outcome.fault}")
     reader.write(content)
     return (reader.name, len(seeds), n_refused, len(faults), round(slowest_s, 3), round(most)), faults
-
-
-def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--inputs", type=int)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--only", nargs="+", default=[])
-    return parser.parse_args()
 
 
 if __name__ == "__main__":

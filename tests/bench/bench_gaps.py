@@ -10,17 +10,12 @@ below 1000. --quick: two scenes of each.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import percent, show
+from tests.bench.harness import percent, read_options, show
 from tests.truth.phase import STAIR_PX, Stairs, Tilted, stairs
 from tests.truth.unseen import FIRST_REPORTED_SEED
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
@@ -52,11 +47,7 @@ def moved(seen: Stairs, missing: int) -> tuple[NDArray[np.float64], FrameGap]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Peaks beside gaps of the stack.")
-    parser.add_argument("--quick", action="store_true", help="two scenes of each")
-    parser.add_argument("--scenes", type=int, default=SCENES, metavar="N")
-    parser.add_argument("--from", dest="first_seed", type=int, default=FIRST_REPORTED_SEED, metavar="SEED")
-    asked = parser.parse_args()
+    asked = read_options(__doc__, scenes=SCENES, first_seed=FIRST_REPORTED_SEED)
     seeds = range(asked.first_seed, asked.first_seed + (QUICK_SCENES if asked.quick else asked.scenes))
     rows = []
     for step_dof in STEPS_DOF:

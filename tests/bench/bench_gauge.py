@@ -11,9 +11,7 @@ a camera of half as many rows and columns.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import json
 import tempfile
 import time
 from pathlib import Path
@@ -21,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.bench.harness import HOME, keep_run, read_options, read_runs
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.job import Job
@@ -36,7 +35,7 @@ RIGS = 20
 GOAL_UM, COVERED, PAPER_UM = 0.05, 18, 0.16
 """The mean error allowed, how many of the rigs U has to cover the truth in, and the error that the paper reports."""
 PATIENCE_S = 900.0
-KEPT = Path(tempfile.gettempdir()) / "wafer-viewer-bench" / "gauge.jsonl"
+KEPT = HOME / "gauge.jsonl"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -127,26 +126,16 @@ def conclude(runs: list[dict[str, Any]]) -> None:
     print(f"    not evaluated: {', '.join(runs[-1]['not_evaluated'])}")
 
 
-def kept_in(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The step between two virtual gauge blocks against its truth.")
-    parser.add_argument("--quick", action="store_true", help="one scan, with the small camera")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="where runs are kept; delete it to begin anew")
-    asked = parser.parse_args()
-    runs = [] if asked.quick else kept_in(asked.kept)
+    asked = read_options(__doc__, kept=KEPT)
+    runs = [] if asked.quick else read_runs(asked.kept)
     for run in runs:
         tell(run)
     for seed in range(len(runs), 1 if asked.quick else RIGS):
         with tempfile.TemporaryDirectory() as folder:
             runs.append(measure(Path(folder), seed, SMALL if asked.quick else FULL))
         tell(runs[-1])
-        if not asked.quick:
-            asked.kept.parent.mkdir(parents=True, exist_ok=True)
-            with asked.kept.open("a") as file:
-                file.write(json.dumps(runs[-1]) + "\n")
+        keep_run(None if asked.quick else asked.kept, runs[-1])
     conclude(runs)
 
 

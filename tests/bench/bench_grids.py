@@ -24,22 +24,17 @@ of the grids without missing fields and misfits.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
-import sys
 import tempfile
-import time
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench import peer_stitchers
+from tests.bench.harness import Cell, read_options, show, took
 from tests.bench.stitch_peers import PLACERS, PYTHON
-from tests.bench.tables import Cell, show
 from tests.truth.drawn_grids import PIXEL_UM, SCENES, MadeGrid, drawn, made, narrowed, planted
 from wafer_viewer.reconstruct.stitching import stitch
 
@@ -51,9 +46,9 @@ SWAPPED_SCANS_NATS = np.log(1000)
 MOST_FOR_LIMIT = 100
 """Number of fields up to which the limit is computed: by a dense inverse."""
 HEADER = (
-    "ground", "grids", "rms px: median", "mean", "worst tenth", "limit: median", "<= .03 px", "of those that can",
-    "normalised", "believed", "wrong", "misfits", "can be known", "false alarms", "silently wrong", "ms per overlap",
-)  # fmt: skip
+    "ground | grids | rms px: median | mean | worst tenth | limit: median | <= .03 px | of those that can | "
+    "normalised | believed | wrong | misfits | can be known | false alarms | silently wrong | ms per overlap"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,19 +74,21 @@ class Outcome:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Stitching of grids drawn by seed.")
-    parser.add_argument("--grids", type=int, default=200)
-    parser.add_argument("--from", type=int, default=1000, dest="first")
-    parser.add_argument("--each", action="store_true", help="a row for each grid")
-    parser.add_argument("--narrow", action="store_true", help="fields that overlap by 4 to 7 %%")
-    parser.add_argument("--peers", action="store_true", help="other stitchers on the same tiles")
-    parser.add_argument("--quick", action="store_true", help="eight grids for tuning")
-    parser.add_argument("--scenes", nargs="*", choices=(*SCENES, []), metavar="NAME", help="grids of many fields")
-    asked = parser.parse_args()
+    asked = read_options(
+        __doc__,
+        grids=200,
+        first_seed=1000,
+        each=False,
+        narrow=False,
+        peers=False,
+        scenes={"nargs": "*", "choices": (*SCENES, []), "metavar": "NAME"},
+    )
     if asked.scenes is not None:
-        judge_scenes(asked.scenes or list(SCENES), range(asked.first, asked.first + min(asked.grids, 3)), asked.each)
+        judge_scenes(
+            asked.scenes or list(SCENES), range(asked.first_seed, asked.first_seed + min(asked.grids, 3)), asked.each
+        )
         return
-    seeds = range(8) if asked.quick else range(asked.first, asked.first + asked.grids)
+    seeds = range(8) if asked.quick else range(asked.first_seed, asked.first_seed + asked.grids)
     found: dict[str, list[Outcome]] = defaultdict(list)
     judged(made(drawn(0)))  # compiles what is not compiled yet
     peers: dict[str, list[PeerOutcome]] = defaultdict(list)
@@ -121,14 +118,13 @@ def judge_scenes(names: list[str], seeds: range, each: bool) -> None:
         if each:
             print(name, *map(one_row, some), sep="\n  ", flush=True)
         rows.append((*row(name, some), f"{max(o.max_px for o in some):.3f}"))
-    show(f"Positions of grids of many fields, seeds from {seeds[0]}", (*HEADER, "max px"), rows)
+    show(f"Positions of grids of many fields, seeds from {seeds[0]}", f"{HEADER} | max px", rows)
 
 
 def judged(grid: MadeGrid) -> Outcome:
     """Stitch a grid and compare with where its fields are."""
-    began = time.process_time()
-    poses = stitch(grid.heights).poses
-    seconds = time.process_time() - began
+    stitched = took(lambda: stitch(grid.heights).poses)
+    poses, seconds = stitched.result, stitched.processor_s
     counted = np.array([n not in grid.misfits for n in range(len(grid.heights))]) & ~poses.left_out
     off_px = errors_px(poses.x_um, poses.y_um, grid, counted)
     between = counted[poses.shifts.first] & counted[poses.shifts.second]

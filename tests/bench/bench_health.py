@@ -11,22 +11,17 @@ with exact scales. Tuning sees seeds below 1000. --quick: six scenes, at most a 
 
 from __future__ import annotations
 
-import argparse
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import percent, show
+from tests.bench.harness import percent, read_options, show
 from tests.support.surfaces import calibration
 from tests.truth.bleeding import PIXEL_UM, WAVELENGTH_UM, Bleeding, BlurredLayers
 from tests.truth.unseen import FIRST_REPORTED_SEED
@@ -213,14 +208,8 @@ def _longest_run(face: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Faults of single frames.")
-    parser.add_argument("--quick", action="store_true", help="six scenes, at most a minute")
-    parser.add_argument("--scenes", type=int, default=SCENES, metavar="N")
-    parser.add_argument("--from", dest="first_seed", type=int, default=FIRST_REPORTED_SEED, metavar="SEED")
-    wanted = parser.parse_args()
+    wanted = read_options(__doc__, scenes=SCENES, first_seed=FIRST_REPORTED_SEED)
     count = QUICK_SCENES if wanted.quick else wanted.scenes
-    if count < 1:
-        parser.error("--scenes needs a number of scenes, 1 or more")
     with ProcessPoolExecutor() as pool:
         scenes = list(pool.map(judge, range(wanted.first_seed, wanted.first_seed + count)))
     show_found(scenes)

@@ -12,7 +12,6 @@ scanned with 200 faults planted at random through the machine code, with picture
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -25,7 +24,7 @@ import numpy as np
 from tests.acquire.conftest import Control, PlaceRenderer, place_of
 from tests.acquire.ledger import Ledger
 from tests.bench.bench_plan import JOBS
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show
 from tests.rigs.pulse_box.worlds import build, missing_tools
 from tests.support.hybrid_rig import hybrid_rig, played_back_rig, without_ringing
 from tests.support.placed_scene import PlacedScene, pictured, placed_at, raw_heights_um
@@ -125,10 +124,7 @@ def plant(folder: Path, n_faults: int, n_fields: int, sweep: FocusSweep, apart: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The gauge-block job with the machine code of the pulse box.")
-    parser.add_argument("--quick", action="store_true", help="2 fields, 20 faults")
-    parser.add_argument("--seed", type=int, default=1, help="of the planted faults")
-    asked = parser.parse_args()
+    asked = read_options(__doc__, seed=1)
     if reason := missing_tools("avr", "lockstep"):
         raise SystemExit(f"The firmware cannot be built: {reason}.")
     n_fields = 2 if asked.quick else len(FIELDS)

@@ -10,24 +10,16 @@ frames take 2 GB of the temp folder and some minutes.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import resource
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 import msgspec
 
-from tests.bench.tables import Cell, show
+from tests.bench.harness import Cell, alone, peak_mb, read_options, show, took
 from tests.support.plans import plan_without_motion
 from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
 from wafer_viewer.gui.shell.left_panel import FieldMap
@@ -56,32 +48,12 @@ from wafer_viewer.store.io.checksums import sealed_line
 FULL, QUICK = (10_000, 100_000), (1_000, 10_000)
 FRAMES, RUNS = 10, 3
 TIME = "2026-01-01T00:00:00"
-HEADER = (
-    "fields",
-    "plan s",
-    "first s",
-    "open s",
-    "again s",
-    "field s",
-    "session s",
-    "scene s",
-    "map s",
-    "MB",
-    "journal MB",
-)
+HEADER = "fields | plan s | first s | open s | again s | field s | session s | scene s | map s | MB | journal MB"
 T = TypeVar("T")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What opening a dataset of very many fields takes.")
-    parser.add_argument("--quick", action="store_true", help="1000 and 10 000 fields, under a minute")
-    parser.add_argument("--fields", type=int, nargs="+", help="numbers of fields")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="frames of a field")
-    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.measure:
-        print(json.dumps(measured(asked.measure)))
-        return
+    asked = read_options(__doc__, fields={"type": int, "nargs": "+"}, frames=FRAMES)
     rows = [row_of(n, asked.frames) for n in asked.fields or (QUICK if asked.quick else FULL)]
     show(f"A dataset of very many fields, {asked.frames} frames each", HEADER, rows)
 
@@ -90,8 +62,7 @@ def row_of(n_fields: int, n_frames: int) -> list[Cell]:
     """Make a dataset and measure it in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         path = make(Path(folder) / "many.wafer", n_fields, n_frames)
-        ran = subprocess.run([sys.executable, __file__, "--measure", str(path)], check=True, capture_output=True)
-        return [str(n_fields), *json.loads(ran.stdout), (path / JOURNAL).stat().st_size / 1e6]
+        return [str(n_fields), *alone(measured, path), (path / JOURNAL).stat().st_size / 1e6]
 
 
 def measured(path: Path) -> list[float]:
@@ -108,8 +79,7 @@ def measured(path: Path) -> list[float]:
     cache: Any = SimpleNamespace(available_facts=lambda sources: {})
     scene_s, _ = least(lambda: acquire_contents(cache, shown, view, None))
     map_s, _ = least(lambda: map_of(shown, view))
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    return [plan_s, first_s, open_s, again_s, field_s, session_s, scene_s, map_s, peak_mb]
+    return [plan_s, first_s, open_s, again_s, field_s, session_s, scene_s, map_s, peak_mb()]
 
 
 def as_new(read: Callable[[Path], T], path: Path) -> T:
@@ -126,17 +96,8 @@ def map_of(shown: Snapshot, view: View) -> None:
 
 def least(work: Callable[[], T], runs: int = RUNS) -> tuple[float, T]:
     """The least seconds of the processor of a few runs, and what the last returned."""
-    seconds, result = timed(work)
-    for _ in range(runs - 1):
-        again, result = timed(work)
-        seconds = min(seconds, again)
-    return seconds, result
-
-
-def timed(work: Callable[[], T]) -> tuple[float, T]:
-    began = time.process_time()
-    result = work()
-    return time.process_time() - began, result
+    done = took(work, runs)
+    return done.processor_s, done.result
 
 
 def make(path: Path, n_fields: int, n_frames: int) -> Path:

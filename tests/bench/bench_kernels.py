@@ -8,24 +8,18 @@ that are kept, and the processor time; at the end the dearest functions, each wi
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.bench.harness import read_options, took
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What the compilation of the kernels costs.")
-    parser.add_argument("--parts", nargs="+", metavar="NAME", help="only these parts")
-    parser.add_argument("--dearest", type=int, default=10, metavar="N", help="functions that are listed")
-    parser.add_argument("--quick", action="store_true", help="only what a first scan needs before its first frame")
-    asked = parser.parse_args()
+    asked = read_options(__doc__, parts={"nargs": "+", "metavar": "NAME"}, dearest=10)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["WAFER_VIEWER_CACHE"] = folder  # before anything is imported that looks for kernels
         show(Path(folder), asked.parts, asked.dearest, quick=asked.quick)
@@ -63,10 +57,8 @@ def show(folder: Path, names: list[str] | None, n_dearest: int, *, quick: bool) 
     for part in SIMULATION if quick else PARTS:
         if names and part.name not in names:
             continue
-        part_began = time.process_time()
-        part.run()
+        taken = took(part.run).processor_s
         kept = len(list(folder.rglob("*.nbc")))
-        taken = time.process_time() - part_began
         print(f"{part.name:<26}{compiled.count - n_before:>12}{kept - n_kept:>8}{taken:>15.1f} s", flush=True)
         n_before, n_kept = compiled.count, kept
     print(f"{'in all':<26}{compiled.count:>12}{n_kept:>8}{time.process_time() - began:>15.1f} s")

@@ -20,7 +20,6 @@ commands alone.
 
 from __future__ import annotations
 
-import argparse
 import random
 import shutil
 import sys
@@ -31,9 +30,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show
 from tests.support.killed_programs import (
     PLAN,
     Commands,
@@ -441,16 +438,11 @@ def shares(n_kills: int, only: list[str], *, quick: bool) -> dict[tuple[str, str
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, help=f"how many; {FULL} without it")
-    parser.add_argument("--from", dest="seed", type=int, default=1000, metavar="SEED", help="seed of the moments")
-    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="processes or stages")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} kills of commands")
-    arguments = parser.parse_args()
+    arguments = read_options(__doc__, kills=int, first_seed=1000, only=[])
     n_kills = arguments.kills or (QUICK if arguments.quick else FULL)
     rows, tallies, begun = [], list[Tally](), time.monotonic()
     with tempfile.TemporaryDirectory() as place, Commands(Path(place)) as commands:
-        bench = Bench(Path(place), commands, random.Random(arguments.seed))
+        bench = Bench(Path(place), commands, random.Random(arguments.first_seed))
         for (process, stage), n in shares(n_kills, arguments.only, quick=arguments.quick).items():
             if not n:
                 continue

@@ -14,11 +14,9 @@ the highest memory is 200 MB above that with nobody; and if a row holds less tha
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 import tempfile
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +24,8 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import highest, met, read_options, show
 from tests.bench.page_driver import Viewer
-from tests.bench.tables import met, show
 from tests.support.plain_browser import PlainBrowser
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -40,19 +36,7 @@ STEPS = ("Gauge check", "Plan")
 ANSWER_S, SHARE, GROWTH_MB = 0.5, 0.95, 200.0
 PAUSE_S, LEARN_S, PATIENCE_S = 0.4, 3.0, 900.0
 LEAST_PRESSES, LOOK_S = 20, 0.25
-HEADER = (
-    "looking on",
-    "frames",
-    "missing",
-    "damaged",
-    "presses",
-    "in 0.5 s",
-    "median, s",
-    "95 %, s",
-    "before, MB",
-    "most",
-    "end",
-)
+HEADER = "looking on | frames | missing | damaged | presses | in 0.5 s | median, s | 95 %, s | before, MB | most | end"
 
 
 @dataclass(frozen=True)
@@ -84,8 +68,12 @@ def scanned(n_watchers: int) -> Outcome:
             browsers.append(PlainBrowser(viewer.address, reads=False))
         signs = _signs(holder)
         _until_ready(holder)
-        before = viewer.memory().viewer / 1e6
-        with _Highest(viewer) as highest:
+
+        def memory_mb() -> float:
+            return viewer.memory().viewer / 1e6
+
+        before = memory_mb()
+        with highest(memory_mb, LOOK_S) as most_mb:
             holder.press("Start scan")
             answers_s, begun = list[float](), time.monotonic()
             time.sleep(LEARN_S)  # the page goes to the step of the scan by itself
@@ -96,39 +84,18 @@ def scanned(n_watchers: int) -> Outcome:
                 label = STEPS[len(answers_s) % len(STEPS)]
                 answers_s.append(holder.answer_s(label, signs[label], most_s=20.0))
                 time.sleep(PAUSE_S)
-        end = viewer.memory().viewer / 1e6
+        end = memory_mb()
         if len(answers_s) < LEAST_PRESSES:
             raise SystemExit(f"{len(answers_s)} presses say nothing: the scan was over too soon.")
         (path,) = data.glob("*.wafer")
         report = Dataset.open(path).check()
         n_frames = Dataset.open(path).scan.plan.n_frames
-        return Outcome(n_frames, len(report.missing), len(report.damaged), answers_s, (before, highest.mb, end))
+        return Outcome(n_frames, len(report.missing), len(report.damaged), answers_s, (before, most_mb[0], end))
     finally:
         for browser in browsers:
             browser.close()
         viewer.close()
         shutil.rmtree(data, ignore_errors=True)
-
-
-class _Highest:
-    """Looks at the memory of a viewer on a thread of its own, and keeps the highest, in MB."""
-
-    def __init__(self, viewer: Viewer) -> None:
-        self.mb = 0.0
-        self._viewer, self._over = viewer, threading.Event()
-        self._thread = threading.Thread(target=self._look)
-
-    def __enter__(self) -> _Highest:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        while not self._over.wait(LOOK_S):
-            self.mb = max(self.mb, self._viewer.memory().viewer / 1e6)
 
 
 def _signs(holder: PlainBrowser) -> dict[str, dict[tuple[str, str], Any]]:
@@ -172,10 +139,7 @@ def _is_over(data: Path) -> bool:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--watchers", type=int, default=WATCHERS)
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} watchers")
-    arguments = parser.parse_args()
+    arguments = read_options(__doc__, watchers=WATCHERS)
     n_watchers = QUICK if arguments.quick else arguments.watchers
     alone, watched = scanned(0), scanned(n_watchers)
     rows = []

@@ -10,13 +10,11 @@ areas of 800 x 800 pixels and between its halves, texture of 1000 x 1000 pixels;
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
 from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, WAFER_PX, big_dataset
-from tests.bench.tables import met, show
+from tests.bench.harness import met, read_options, show, took
 from wafer_viewer.measure.base.levelled_surface import Levelled, datum
 from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.calibration import Calibration
@@ -38,9 +36,7 @@ DRAWN_SHARE = 0.02
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     surface = Dataset.open(big_dataset(QUICK_PX if quick else WAFER_PX)).result().mosaic()
     rows, cols = surface.shape
     print(f"{rows * cols / 1e6:.0f} million points, {surface.levels} levels")
@@ -129,12 +125,10 @@ def _square(x_um: float, y_um: float, side_um: float) -> Region:
 
 def _timed(work: Callable[[], object]) -> list[str]:
     """Seconds by the clock and of the processor, or why there is no answer."""
-    begun, begun_cpu = time.perf_counter(), time.process_time()
     try:
-        work()
+        return [f"{seconds:.2f}" for seconds in took(work).both]
     except MeasureError as fault:
         return ["-", f"{str(fault)[:48]}…"]
-    return [f"{time.perf_counter() - begun:.2f}", f"{time.process_time() - begun_cpu:.2f}"]
 
 
 if __name__ == "__main__":

@@ -12,19 +12,13 @@ standard uncertainties, of believed overlaps whose content is not wrong; > 3 u: 
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import read_options, took
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import HeightOffsets, RejectionReason, Shifts
 from wafer_viewer.reconstruct.registration.drift_pool import with_pooled_drift
@@ -48,12 +42,8 @@ HEADER = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What single overlaps tell.")
-    parser.add_argument("--quick", action="store_true", help="small fields, under a minute")
-    parser.add_argument("--from", type=int, default=1, dest="first", help="seed of the first grid")
-    parser.add_argument("--grids", type=int, default=1, help="number of grids of each kind, one after the other")
-    asked = parser.parse_args()
-    seeds = range(asked.first, asked.first + asked.grids)
+    asked = read_options(__doc__, first_seed=1, grids=1)
+    seeds = range(asked.first_seed, asked.first_seed + asked.grids)
     print(HEADER, flush=True)
     whole, part = (SMALL, SMALL) if asked.quick else (Grid(), MIDDLING)
     print(row("the whole grid", whole, seeds), flush=True)
@@ -96,25 +86,15 @@ def judged(grid: Grid) -> Outcome:
     made = make(grid)
     pairs = made.known.grid.edges
     register(made.heights, pairs[:2], threads=1)
-    shift_ms, shifts = best_ms(lambda: register(made.heights, pairs, threads=1))
-    seam_ms, seams = best_ms(lambda: compare(made.heights, pairs, made.known.x_um, made.known.y_um, threads=1))
-    off_um, chi = seam_errors(made, seams)
+    registered = took(lambda: register(made.heights, pairs, threads=1), 3)
+    compared = took(lambda: compare(made.heights, pairs, made.known.x_um, made.known.y_um, threads=1), 3)
+    shifts, spent_ms = registered.result, (1e3 * registered.processor_s, 1e3 * compared.processor_s)
+    off_um, chi = seam_errors(made, compared.result)
     left_out = misplaced_fields(len(made.heights), shifts).tolist()
     errors = shift_errors(made, with_pooled_drift(shifts))
     if grid.seed > 1:
         made.remove()
-    return Outcome(len(pairs), np.stack(errors), off_um, chi, (shift_ms, seam_ms), shifts.doubt.tolist(), left_out)
-
-
-def best_ms(work: Callable[[], Any]) -> tuple[float, Any]:
-    """One core's work, and what it gave."""
-    seconds: list[float] = []
-    made = None
-    for _ in range(3):
-        begun = time.process_time()
-        made = work()
-        seconds.append(time.process_time() - begun)
-    return 1e3 * min(seconds), made
+    return Outcome(len(pairs), np.stack(errors), off_um, chi, spent_ms, shifts.doubt.tolist(), left_out)
 
 
 def shift_errors(made: Made, shifts: Shifts) -> tuple[np.ndarray, np.ndarray]:

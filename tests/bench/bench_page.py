@@ -13,9 +13,7 @@ million points instead: seconds until the picture follows a clip and a slab, and
 
 from __future__ import annotations
 
-import argparse
 import statistics
-import sys
 import tempfile
 import threading
 import time
@@ -26,12 +24,10 @@ from pathlib import Path
 
 import psutil
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench.bench_workers import RECIPE, RESULT, make_dataset
 from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, QUICK_PX, WAFER_PX, big_dataset
+from tests.bench.harness import met, read_options, show
 from tests.bench.page_driver import CHANGED, PATIENCE_S, Seat, Viewer, seats
-from tests.bench.tables import met, show
 from tests.browser.steps import put, set_numbers, text_field
 from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
@@ -76,12 +72,7 @@ class Figures:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How quick the page is on large surfaces.")
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument("--brief", action="store_true", help="one round, under two minutes")
-    which.add_argument("--quick", action="store_true", help="one round on a small surface")
-    which.add_argument("--points", action="store_true", help="clips and a slab of a point cloud")
-    told = parser.parse_args()
+    told = read_options(__doc__, brief=False, points=False)
     if told.points:
         show_cloud(cloud_of(big_dataset(BLOCKS_PX)), psutil.getloadavg()[0])
         return

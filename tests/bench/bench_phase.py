@@ -11,18 +11,12 @@ carry for it. --quick: one aperture, one contrast and three steps.
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show, took
 from tests.truth.phase import PhaseError, Stairs, Tilted, errors_of, phase_error, pooled, stairs
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.focus_measures import focus_measures
@@ -90,19 +84,11 @@ class Measured:
 
     def ns_per_pixel(self, peak: str, runs: int = 15) -> float:
         """The least processor time of several runs."""
-        taken = []
-        for _ in range(runs):
-            began = time.process_time_ns()
-            self.find(peak)
-            taken.append(time.process_time_ns() - began)
-        return min(taken) / self.peaks.z_um.size
+        return 1e9 * took(lambda: self.find(peak), runs).processor_s / self.peaks.z_um.size
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How far peaks between frames follow the place of the frames.")
-    parser.add_argument("--quick", action="store_true", help="one aperture, one contrast and three steps")
-    parser.add_argument("--seed", type=int, default=1000, help="of the first texture; below 1000 for tuning")
-    wanted = parser.parse_args()
+    wanted = read_options(__doc__, seed=1000)
     steps = QUICK_STEPS_DOF if wanted.quick else STEPS_DOF
     for contrast in CONTRASTS[1:2] if wanted.quick else CONTRASTS:
         found = {step: {} for step in steps}

@@ -10,23 +10,18 @@ goal: 93 to 97 % within 2 u, median 0.8 to 1.2. Seeds below 1000 are for tuning.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import percent, show
+from tests.bench.harness import percent, read_options, show
 from tests.truth.phase import Tilted, stairs
-from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene
+from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene, use_of
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
@@ -132,34 +127,24 @@ def summary(found: list[Honesty]) -> tuple[str | float, ...]:
     )
 
 
-SUMMARY = (
-    "scenes",
-    "number",
-    "rms error / u",
-    "within 2 u %",
-    "worst tenth",
-    "below / above goal",
-    "median",
-    "0.8..1.2",
-)
-EACH = ("scene", "rms error / u", "within 2 u %", "median", "u um", "pixels")
+SUMMARY = "scenes | number | rms error / u | within 2 u % | worst tenth | below / above goal | median | 0.8..1.2"
+EACH = "scene | rms error / u | within 2 u % | median | u um | pixels"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seed", type=int, default=FIRST_REPORTED_SEED)
-    parser.add_argument("--count", type=int, default=None, help="drawn scenes")
-    parser.add_argument("--measure", choices=tuple(focus_measures()), default="log_laplacian")
-    parser.add_argument("--each", action="store_true", help="print each scene")
-    asked = parser.parse_args()
+    asked = read_options(
+        __doc__,
+        seed=FIRST_REPORTED_SEED,
+        count={"type": int, "help": "drawn scenes"},
+        measure={"choices": tuple(focus_measures()), "default": "log_laplacian"},
+        each=False,
+    )
     count = (QUICK_SCENES if asked.quick else SCENES) if asked.count is None else asked.count
     names, tilted = zip(*planes(asked.seed, asked.quick), strict=True)
     with ProcessPoolExecutor() as pool:
         flat = list(zip(names, pool.map(partial(plane_honesty, measure=asked.measure), tilted), strict=True))
         seeds = range(asked.seed, asked.seed + count)
         drawn = list(pool.map(partial(drawn_honesty, measure=asked.measure), seeds))
-    use = "reporting" if asked.seed >= FIRST_REPORTED_SEED else "tuning"
     if asked.each:
         show("Scene by scene", EACH, [(name, *row(one)) for name, one in (*flat, *drawn) if one is not None])
     by_step = {f"planes, step {step:g} DOF": f"step {step:g} DOF" for step in STEPS_DOF}
@@ -172,7 +157,7 @@ def main() -> None:
     }
     judged = {name: [one for one in group if one is not None] for name, group in groups.items()}
     rows = [(name, *summary(group)) for name, group in judged.items() if group]
-    show(f"{asked.measure}, SIMULATED scenes, seeds from {asked.seed} ({use})", SUMMARY, rows)
+    show(f"{asked.measure}, SIMULATED scenes, seeds from {asked.seed} ({use_of(asked.seed)})", SUMMARY, rows)
 
 
 if __name__ == "__main__":

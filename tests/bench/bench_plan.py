@@ -8,11 +8,9 @@ The scan runs on the virtual rig with empty pictures, so that only planner, wire
 
 from __future__ import annotations
 
-import argparse
-import time
-
 import numpy as np
 
+from tests.bench.harness import read_options, took
 from wafer_viewer.acquire.planner import plan_scan, price_all
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
@@ -67,9 +65,7 @@ JOBS: dict[str, Job] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What the paper's jobs cost, and how fast they are priced.")
-    parser.add_argument("--quick", action="store_true", help="scan one row of fields only, under ten seconds")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     for title, job in JOBS.items():
         show_prices(title, *job)
     fields, sweep = next(iter(JOBS.values()))
@@ -79,12 +75,10 @@ def main() -> None:
 def show_prices(title: str, fields: tuple[Field, ...], sweep: FocusSweep) -> None:
     """The table that the operator sees, and the milliseconds that it took."""
     price_all(fields, sweep, EXPOSURES_US, LIMITS)
-    begun = time.perf_counter()
-    prices = price_all(fields, sweep, EXPOSURES_US, LIMITS)
-    priced_ms = (time.perf_counter() - begun) * 1000
+    priced = took(lambda: price_all(fields, sweep, EXPOSURES_US, LIMITS))
     floor_s = len(fields) * sweep.n_frames / LIMITS.camera.frame_rate_hz
-    print(f"{title}: camera's floor {floor_s:.1f} s, all strategies priced in {priced_ms:.0f} ms")
-    for price in sorted(prices, key=lambda p: p.predicted_s or float("inf")):
+    print(f"{title}: camera's floor {floor_s:.1f} s, all strategies priced in {1e3 * priced.clock_s:.0f} ms")
+    for price in sorted(priced.result, key=lambda p: p.predicted_s or float("inf")):
         cost = f"{price.predicted_s:8.1f} s  {price.motions:6d} motions" if price.predicted_s else price.ruled_out
         print(f"  {price.title:24s} {cost}")
 
@@ -92,9 +86,8 @@ def show_prices(title: str, fields: tuple[Field, ...], sweep: FocusSweep) -> Non
 def show_scan(plan: ScanPlan) -> None:
     """Predicted against the virtual clock, and the processor's time for each frame."""
     rig = VirtualRig(limits=LIMITS, renderer=Dark())
-    begun = time.perf_counter()
-    outcome = run_scan(plan, rig, Nowhere(), Nowhere())
-    us = (time.perf_counter() - begun) / plan.n_frames * 1e6
+    scanned = took(lambda: run_scan(plan, rig, Nowhere(), Nowhere()))
+    outcome, us = scanned.result, scanned.clock_s / plan.n_frames * 1e6
     rig.close()
     print(
         f"{plan.n_frames} frames scanned: predicted {plan.predicted_s:.2f} s, "

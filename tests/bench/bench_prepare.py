@@ -11,11 +11,8 @@ part of the sample.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import tempfile
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
+from tests.bench.harness import highest, read_options, took
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -56,11 +54,7 @@ class Seen:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What preparing a stack costs and brings.")
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument("--quick", action="store_true", help="one scene with few drifts, and a short field")
-    which.add_argument("--flaws", action="store_true", help="only the cost of a flawed pixel, column and row")
-    told = parser.parse_args()
+    told = read_options(__doc__, flaws=False)
     if not told.quick:
         report_flaws(60)
     if not told.flaws:
@@ -140,9 +134,9 @@ def report_cost(n_frames: int) -> None:
         for what, one in (("plain", frames), ("drifted", dataclasses.replace(frames, drift=drift)), ("fused", fused)):
             print(f"reading, {what}: {least_ms(lambda f=one: read_all(f)) / n_frames:.2f} ms a frame")
         both = dataclasses.replace(stack, brackets=(bracket,))
-        print(
-            f"two exposures, one thread: own memory {most_own_mb(lambda: reconstruct(both, threads=1)):.0f} MB at most"
-        )
+        with highest() as most_mb:
+            reconstruct(both, threads=1)
+        print(f"two exposures, one thread: own memory {most_mb[0]:.0f} MB at most")
 
 
 def shot(seen: Seen, shift_px: Floats, growth: Floats, exposure: float = 1.0, seed: int = 0) -> NDArray[np.uint8]:
@@ -221,30 +215,7 @@ def read_all(frames: Frames) -> None:
 
 def least_ms(work: Callable[[], object]) -> float:
     """Processor time of the quickest of five runs."""
-
-    def once() -> float:
-        begin = time.process_time()
-        work()
-        return time.process_time() - begin
-
-    return 1000 * min(once() for _ in range(5))
-
-
-def most_own_mb(work: Callable[[], object]) -> float:
-    """The most anonymous memory of this process while it works (Linux)."""
-    done, most = threading.Event(), [0.0]
-
-    def watch() -> None:
-        while not done.wait(0.02):
-            status = Path("/proc/self/status").read_text()
-            most[0] = max(most[0], int(status.split("RssAnon:")[1].split()[0]) / 1024)
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    work()
-    done.set()
-    watcher.join()
-    return most[0]
+    return 1e3 * took(work, 5).processor_s
 
 
 if __name__ == "__main__":

@@ -12,11 +12,9 @@ moves on one of 11 million points.
 
 from __future__ import annotations
 
-import argparse
 import io
 import shutil
 import statistics
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,11 +24,9 @@ from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 from scipy import ndimage
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, big_dataset
+from tests.bench.harness import met, read_options, show
 from tests.bench.page_driver import SIZE, Viewer
-from tests.bench.tables import met, show
 from tests.browser.screens import FLAGS, hide_viser_warning, remember
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 
@@ -67,11 +63,7 @@ class Figures:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How soon a profile follows its handle.")
-    parser.add_argument("--quick", action="store_true", help="three moves on a small mosaic")
-    parser.add_argument("--side", type=int, default=BLOCKS_PX, help="rows and columns of the mosaic")
-    parser.add_argument("--moves", type=int, default=40)
-    asked = parser.parse_args()
+    asked = read_options(__doc__, side=BLOCKS_PX, moves=40)
     side, n_moves = (QUICK_PX, 3) if asked.quick else (asked.side, asked.moves)
     load = psutil.getloadavg()[0]
     show_figures(measured(big_dataset(side), n_moves), side, load)

@@ -10,20 +10,15 @@ once with the window that is best without smoothing and once with the best smoot
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import percent, read_options, show
 from tests.bench.least_squares_focus import PLAIN, SMOOTHED
-from tests.bench.tables import percent, show
 from tests.truth.relief import RELIEFS, drawn_relief
 from tests.truth.unseen import FIRST_REPORTED_SEED
 from wafer_viewer.measure.truth_comparison import rmse
@@ -62,15 +57,8 @@ GOALS: dict[str, Callable[[Judged], bool]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Smooth steep relief without walls.")
-    parser.add_argument("--quick", action="store_true", help="ten scenes, at most a minute")
-    parser.add_argument("--scenes", type=int, default=SCENES, metavar="N")
-    parser.add_argument("--from", dest="first_seed", type=int, default=FIRST_REPORTED_SEED, metavar="SEED")
-    parser.add_argument("--each", action="store_true", help="show each scene as well")
-    wanted = parser.parse_args()
+    wanted = read_options(__doc__, scenes=SCENES, first_seed=FIRST_REPORTED_SEED, each=False)
     count = QUICK_SCENES if wanted.quick else wanted.scenes
-    if count < 1:
-        parser.error("--scenes needs a number of scenes, 1 or more")
     with ProcessPoolExecutor() as pool:
         scenes = list(pool.map(judge, range(wanted.first_seed, wanted.first_seed + count)))
     if wanted.each:

@@ -1,4 +1,4 @@
-"""How fast the virtual microscope renders: run with --quick for the small camera only.
+"""How fast the virtual microscope renders; --quick: with the small camera only.
 
     python tests/bench/bench_render.py [--quick]
 
@@ -7,26 +7,21 @@ For every scene and camera size: preparing a field, one frame averaged over the 
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TypeVar
 
 import numpy as np
 
+from tests.bench.harness import read_options, took
 from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor, tour_range
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Scene
 
-T = TypeVar("T")
 SMALL, FULL = (540, 720), (1080, 1440)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How fast the virtual microscope renders.")
-    parser.add_argument("--quick", action="store_true", help="the small camera only, under a minute")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     compile_s = seconds(lambda: FrameRenderer(SCENES["wafer"], Optics(), Sensor(16, 16)).frame(0, 0, 0, 100, 0))
     print(f"first frame, compiled or loaded: {compile_s:.1f} s")
     for size in (SMALL,) if quick else (SMALL, FULL):
@@ -39,7 +34,8 @@ def report(scene: Scene, rows: int, cols: int, frames: int) -> str:
     sensor.expose(np.zeros((rows, cols), np.float32), 1.0, 0)
     FieldPicture(scene, Optics(), 0, 0, 16, 16, tour_range(scene)).radiance(0)
     x, y = scene.tour_center_um
-    prepare_s, field = timed(lambda: FieldPicture(scene, Optics(), x, y, rows, cols, tour_range(scene)))
+    prepared = took(lambda: FieldPicture(scene, Optics(), x, y, rows, cols, tour_range(scene)))
+    field = prepared.result
     end_um = scene.tour_z_start_um + scene.tour_z_step_um * (scene.tour_frames - 1)
     z_um = np.linspace(scene.tour_z_start_um, end_um, frames)
     frame_s = seconds(lambda: consume(field.radiance(z) for z in z_um))
@@ -47,15 +43,9 @@ def report(scene: Scene, rows: int, cols: int, frames: int) -> str:
     expose_s = seconds(lambda: consume(sensor.expose(light, scene.gain, seed) for seed in range(frames)))
     ms = 1000 / frames
     return (
-        f"{scene.name:13s} {rows} x {cols}: field {prepare_s:.2f} s, frame {frame_s * ms:.1f} ms, "
+        f"{scene.name:13s} {rows} x {cols}: field {prepared.processor_s:.2f} s, frame {frame_s * ms:.1f} ms, "
         f"exposure {expose_s * ms:.1f} ms"
     )
-
-
-def timed(work: Callable[[], T]) -> tuple[float, T]:
-    begin = time.process_time()
-    result = work()
-    return time.process_time() - begin, result
 
 
 def consume(frames: Iterable[object]) -> None:
@@ -64,7 +54,7 @@ def consume(frames: Iterable[object]) -> None:
 
 
 def seconds(work: Callable[[], object]) -> float:
-    return timed(work)[0]
+    return took(work).processor_s
 
 
 if __name__ == "__main__":

@@ -11,17 +11,11 @@ A chip's depth is the median of three search lines, which its round end makes sm
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from tests.bench.tables import met, percent, show
+from tests.bench.harness import met, percent, read_options, show, took
 from tests.support.bumped_surface import bumped
 from tests.support.made_up_pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
 from wafer_viewer.measure.edges.circular_edges import find_circle
@@ -118,9 +112,9 @@ CASES: dict[str, tuple[Callable[[int], Answer], int, str]] = {
 def rows(runs: int) -> Iterator[list[str | float | int | None]]:
     for name, (measure, fewer, unit) in CASES.items():
         n = max(2, runs // fewer)
-        begin = time.perf_counter()
-        errors, expanded = zip(*(measure(seed) for seed in range(n)), strict=True)
-        each_ms = 1e3 * (time.perf_counter() - begin) / n
+        done = took(lambda one=measure, n=n: [one(seed) for seed in range(n)])
+        errors, expanded = zip(*done.result, strict=True)
+        each_ms = 1e3 * done.clock_s / n
         mean, sd = float(np.mean(errors)), float(np.std(errors))
         known = None not in expanded
         share = covered(errors, expanded) if known else float("nan")
@@ -130,15 +124,11 @@ def rows(runs: int) -> Iterator[list[str | float | int | None]]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--quick", action="store_true")
-    options.add_argument("--runs", type=int)
-    given = options.parse_args()
+    given = read_options(__doc__, runs=int)
     runs = given.runs or (QUICK_RUNS if given.quick else RUNS)
-    header = ["what", "unit", "runs", "mean error", "sd", "U", "covered %", "mean", "ms"]
     show(
         f"Shapes, simulated; goal: mean error {GOAL_PX} px, U covers {COVER[0]:.0%} to {COVER[1]:.0%}",
-        header,
+        "what | unit | runs | mean error | sd | U | covered % | mean | ms",
         list(rows(runs)),
     )
 

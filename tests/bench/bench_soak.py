@@ -13,20 +13,15 @@ million points, half of it to warm up: it says whether it runs, not what it leav
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import numpy as np
 
 from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, big_dataset
+from tests.bench.harness import met, read_options, show
 from tests.bench.page_driver import Memory, Seat, Viewer, seats
-from tests.bench.tables import met, show
 
 HOURS, CHANGES, PROFILES, RECONNECTS = 8.0, 500, 100, 20
 WARM_UP, QUICK = 0.1, 0.01
@@ -37,10 +32,7 @@ PAUSE_MS = 250
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Whether memory grows in a day's use.")
-    parser.add_argument("--quick", action="store_true", help="whether it runs")
-    parser.add_argument("--hours", type=float, default=HOURS, help="hours of use")
-    arguments = parser.parse_args()
+    arguments = read_options(__doc__, hours=HOURS)
     quick = arguments.quick
     warm_up, share = (QUICK, QUICK) if quick else (WARM_UP, arguments.hours / HOURS)
     dataset, began = big_dataset(QUICK_PX if quick else BLOCKS_PX), time.monotonic()

@@ -10,7 +10,6 @@ of the first start. --quick: one start; otherwise four.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import re
@@ -20,14 +19,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from statistics import median
 
 import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.bench.harness import goal, read_options
 from tests.browser.screens import FLAGS
 
 ADDRESS_GOAL_S, LATER_GOAL_S = 3.0, 1.0
@@ -94,14 +92,8 @@ def lines_are_drawn(page: Page) -> bool:
     return bool(np.abs(np.diff(grey, axis=0)).max() > LINES_GREY)
 
 
-def told(seconds: float, goal_s: float) -> str:
-    return f"{seconds:.2f} s (goal {goal_s:.0f} s {'met' if seconds <= goal_s else 'MISSED'})"
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How soon the viewer is there.")
-    parser.add_argument("--quick", action="store_true", help="one start instead of four")
-    starts = 1 if parser.parse_args().quick else 4
+    starts = 1 if read_options(__doc__).quick else 4
     later: list[list[float]] = [[] for _ in OPENINGS]
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
@@ -112,13 +104,14 @@ def main() -> None:
                 command = ("-m", "wafer_viewer", "serve", "--port", "0", "--data", folder)
                 with serving(*command) as (address_s, address):
                     ours = openings(browser, address, CARD)
-            print(f"start {n}: address after {told(address_s, ADDRESS_GOAL_S)}", flush=True)
+            print(f"start {n}: address after {address_s:.2f} s {goal(address_s, ADDRESS_GOAL_S, ' s')}", flush=True)
             for k, name in enumerate(OPENINGS):
                 later[k].append(ours[k] - empty[k])
                 print(f"  {name:<14} picture after {ours[k]:.2f} s, of an empty viser page after {empty[k]:.2f} s")
         browser.close()
-    for name, seconds in zip(OPENINGS, later, strict=True):
-        print(f"{name:<14} first picture later than that of an empty viser page: {told(median(seconds), LATER_GOAL_S)}")
+    for name, seconds in zip(OPENINGS, map(median, later), strict=True):
+        words = f"{seconds:.2f} s {goal(seconds, LATER_GOAL_S, ' s')}"
+        print(f"{name:<14} first picture later than that of an empty viser page: {words}")
 
 
 if __name__ == "__main__":

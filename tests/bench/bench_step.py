@@ -10,8 +10,6 @@ what the scatter of the heights themselves says.
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -20,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show, took
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.region import Region
@@ -109,19 +107,14 @@ def _spectrum(domain: int, correlation_px: float) -> Floats:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--correlation", type=float, nargs="+", default=CORRELATIONS_PX)
-    asked = parser.parse_args()
+    asked = read_options(__doc__, runs=1000, correlation=[float(px) for px in CORRELATIONS_PX])
     n = 5 if asked.quick else asked.runs
     rows: list[tuple[str, ...]] = []
     for correlation_px in asked.correlation:
-        began = time.perf_counter()
-        of = runs(correlation_px, range(n))
-        rows.append((*_row(of, judged=not asked.quick), f"{(time.perf_counter() - began) / n:.2f}"))
+        done = took(lambda px=correlation_px: runs(px, range(n)))
+        rows.append((*_row(done.result, judged=not asked.quick), f"{done.clock_s / n:.2f}"))
         print("  ".join(rows[-1]), flush=True)
-    header = ("correlation, px", "bias, um", "allowed", "spread, um", "mean U, um", "U covers", "", "s a run")
+    header = "correlation, px | bias, um | allowed | spread, um | mean U, um | U covers |  | s a run"
     show(f"SIMULATED step of {STEP_UM} um, {n} runs each; U without a certificate's term", header, rows)
 
 

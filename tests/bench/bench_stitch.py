@@ -11,18 +11,13 @@ Other people's stitchers run in an environment of their own (see tests/bench/sti
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench import stitch_peers
+from tests.bench.harness import Cell, met, read_options, run_sections, show, some_of, took
 from tests.bench.stitch_costs import STORE, Cost, Meter, costs_of, found_poses, with_levels
 from tests.bench.stitch_judge import (
     Blend,
@@ -36,7 +31,6 @@ from tests.bench.stitch_judge import (
     seam_steps_um,
     without_z,
 )
-from tests.bench.tables import Cell, met, show
 from tests.truth.field_grid import Grid, Made, make
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -62,14 +56,7 @@ HARDER = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How right stitching is, and what it costs.")
-    parser.add_argument("--quick", action="store_true", help="a few small fields")
-    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), metavar="SECTION")
-    asked = parser.parse_args()
-    for name in asked.only:
-        began = time.perf_counter()
-        SECTIONS[name](asked.quick)
-        print(f"({name}: {time.perf_counter() - began:.0f} s)", flush=True)
+    run_sections(SECTIONS, read_options(__doc__, only=some_of(SECTIONS)))
 
 
 def whole(quick: bool) -> Grid:
@@ -195,8 +182,7 @@ def splice(quick: bool) -> None:
 def splice_s(made: Made, blend: Blend) -> tuple[float, float]:
     """By the clock and of the processor, the least of some runs; maps are in memory before, as for the others."""
     mosaic = mosaic_of([copied(h) for h in made.heights], None, blend)
-    clock_s, processor_s = zip(*(seconds(mosaic.window) for _ in range(4)), strict=True)
-    return min(clock_s), min(processor_s)
+    return took(mosaic.window, 4).both
 
 
 def peers(quick: bool) -> None:
@@ -240,12 +226,6 @@ def copied(height: HeightMap) -> HeightMap:
     """A copy that is not mapped from a file."""
     names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
     return replace(height, **{name: getattr(height, name).copy() for name in names})
-
-
-def seconds(work: Callable[[], object]) -> tuple[float, float]:
-    began, busy = time.perf_counter(), time.process_time()
-    work()
-    return time.perf_counter() - began, time.process_time() - busy
 
 
 SECTIONS: dict[str, Callable[[bool], None]] = {

@@ -8,8 +8,6 @@ does other work as well. Peers are compared with by texture_peers.py.
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable
 from functools import partial
 
@@ -17,7 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tests.bench.big_mosaic import BLOCKS_PX, big_dataset
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show, took
 from tests.bench.texture_peers import PIXEL_UM, as_map
 from wafer_viewer.measure.texture.areal_texture import texture
 from wafer_viewer.measure.texture.roughness import roughness
@@ -37,9 +35,7 @@ SETTINGS: dict[str, dict[str, float]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a region of 400 x 400 pixels")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     side_px = QUICK_SIDE_PX if quick else 1024
     timed = partial(_timed, rounds=1 if quick else ROUNDS)
     rng = np.random.default_rng(1)
@@ -73,14 +69,8 @@ def _on_a_stored_surface(whole_px: int, side_px: int, timed: Timed) -> None:
 def _timed(work: Callable[[], object], rounds: int) -> str:
     """The best of some rounds, after one to load what is loaded once."""
     work()
-    clock: list[float] = []
-    processor: list[float] = []
-    for _ in range(rounds):
-        begun, begun_cpu = time.perf_counter(), time.process_time()
-        work()
-        clock.append(time.perf_counter() - begun)
-        processor.append(time.process_time() - begun_cpu)
-    return f"{min(clock):.3f} ({min(processor):.3f})"
+    done = took(work, rounds)
+    return f"{done.clock_s:.3f} ({done.processor_s:.3f})"
 
 
 if __name__ == "__main__":

@@ -11,10 +11,8 @@ The full run also takes the tour as soon as the rig answers, and on a machine th
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
-import threading
 import time
 import urllib.request
 from collections import Counter
@@ -23,6 +21,7 @@ from pathlib import Path
 
 import msgspec
 
+from tests.bench.harness import goal, highest, read_options, took
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
@@ -59,31 +58,6 @@ class Tour:
     slowest_answer_s: float
 
 
-class Asker:
-    """Asks for the page again and again, and remembers the slowest answer."""
-
-    def __init__(self, address: str) -> None:
-        self._opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
-        self._address = address
-        self._over = threading.Event()
-        self.slowest_s = 0.0
-        self._thread = threading.Thread(target=self._ask)
-
-    def __enter__(self) -> Asker:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-    def _ask(self) -> None:
-        while not self._over.wait(ASK_EVERY_S):
-            asked = time.perf_counter()
-            self._opener.open(self._address, timeout=30).read()
-            self.slowest_s = max(self.slowest_s, time.perf_counter() - asked)
-
-
 def take_tour(folder: Path, *, wait_for_kernels: bool) -> Tour:
     """Take it as its notes lead."""
     session = Session(folder)
@@ -98,7 +72,12 @@ def take_tour(folder: Path, *, wait_for_kernels: bool) -> Tour:
             return time.perf_counter() - began
 
         session.take_tour().result(PATIENCE_S)
-        with Asker(running.address) as asker:
+        opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+
+        def answer_s() -> float:
+            return took(lambda: opener.open(running.address, timeout=30).read()).clock_s
+
+        with highest(answer_s, ASK_EVERY_S) as slowest_s:
             session.start_scan().result(PATIENCE_S)
             session.wait_until(lambda s: s.surface is not None or bool(s.faults), PATIENCE_S)
             first_surface_s = gone()
@@ -121,7 +100,7 @@ def take_tour(folder: Path, *, wait_for_kernels: bool) -> Tour:
             step=f"{height.value:.2f} ± {height.expanded or float('nan'):.2f} um",
             defects=", ".join(f"{n} {kind}" for kind, n in Counter(d.seen_as for d in found).most_common()) or "none",
             report=f"{report.stat().st_size / 1e6:.1f} MB",
-            slowest_answer_s=asker.slowest_s,
+            slowest_answer_s=slowest_s[0],
         )  # fmt: skip
     finally:
         running.stop()
@@ -145,25 +124,21 @@ def first_step(session: Session) -> tuple[Region, ...]:
     return initial_regions("step", height_field, ((x0 + x1) / 2, (y0 + y1) / 2))
 
 
-def goal(seconds: float, limit_s: float) -> str:
-    return f"{seconds:5.1f} s (goal {limit_s:g} s {'met' if seconds <= limit_s else 'MISSED'})"
-
-
 def report(title: str, tour: Tour) -> None:
+    slowest_s = tour.slowest_answer_s
     print(
-        f"{title:<26} from Take the tour: first surface {goal(tour.first_surface_s, SURFACE_GOAL_S)}, scan "
-        f"{tour.scan_s:5.1f} s, all fields stitched {tour.surface_s:5.1f} s, step kept {tour.kept_s:5.1f} s, "
-        f"inspected {tour.inspected_s:5.1f} s, report {goal(tour.report_s, REPORT_GOAL_S)}\n"
+        f"{title:<26} from Take the tour: first surface {tour.first_surface_s:.1f} s "
+        f"{goal(tour.first_surface_s, SURFACE_GOAL_S, ' s')}, scan {tour.scan_s:.1f} s, all fields stitched "
+        f"{tour.surface_s:.1f} s, step kept {tour.kept_s:.1f} s, inspected {tour.inspected_s:.1f} s, report "
+        f"{tour.report_s:.1f} s {goal(tour.report_s, REPORT_GOAL_S, ' s')}\n"
         f"{'':<26} step {tour.step} | found: {tour.defects} | report of {tour.report} | slowest answer of the page "
-        f"{goal(tour.slowest_answer_s, ANSWER_GOAL_S)}",
+        f"{slowest_s:.1f} s {goal(slowest_s, ANSWER_GOAL_S, ' s')}",
         flush=True,
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="From Take the tour to the report of what was found.")
-    parser.add_argument("--quick", action="store_true", help="once, with the kernels compiled before")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     with tempfile.TemporaryDirectory() as folder:
         report("kernels compiled before", take_tour(Path(folder) / "warm", wait_for_kernels=True))
         if not quick:

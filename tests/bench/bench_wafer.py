@@ -9,21 +9,16 @@ planner for a row of fields. What many fields take to be solved for together: py
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench.bench_workers import COLS, OVERLAP, PIXEL_UM, RECIPE, RESULT, ROWS, make_dataset
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show, took
 from wafer_viewer.acquire.planner import price_all
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.spec import replace
@@ -51,9 +46,7 @@ class Costs:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What a whole wafer takes.")
-    parser.add_argument("--quick", action="store_true", help="a short stack, under a minute")
-    n_frames = 24 if parser.parse_args().quick else 126
+    n_frames = 24 if read_options(__doc__).quick else 126
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "wafer.wafer"
         make_dataset(path, 4, n_frames)
@@ -142,12 +135,7 @@ def hours(seconds: float) -> str:
 
 def spent_s(work: Callable[[], object]) -> float:
     """The least processor time of several runs."""
-    times: list[float] = []
-    for _ in range(RUNS):
-        began = time.process_time()
-        work()
-        times.append(time.process_time() - began)
-    return min(times)
+    return took(work, RUNS).processor_s
 
 
 def size_of(folder: Path) -> int:

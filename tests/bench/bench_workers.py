@@ -11,9 +11,7 @@ does counts little. Kernels are compiled and loaded before. --quick: two fields 
 
 from __future__ import annotations
 
-import argparse
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -27,9 +25,7 @@ from typing import Any
 
 import psutil
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.bench.tables import met, show
+from tests.bench.harness import met, read_options, show, took
 from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.dask_cluster import client_of
 from wafer_viewer.compute.task_runner import DaskRunner, Done, Task, TaskRunner
@@ -75,9 +71,7 @@ class Took:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What a cluster of workers costs and gains.")
-    parser.add_argument("--quick", action="store_true", help="two short fields, one round")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.wafer"
         n_fields, n_frames = (2, 12) if quick else (12, 126)
@@ -124,9 +118,7 @@ def show_start(start_s: float, crew: TaskRunner, well: bool, n_empty: int) -> No
     if not well:
         raise SystemExit("The workers do not answer.")
     empty = partial(drain, crew, nothing, [(i,) for i in range(n_empty)])
-    clock_ms, own_ms = (
-        1e3 * min(times) / n_empty for times in zip(*(both_clocks(empty) for _ in range(3)), strict=True)
-    )
+    clock_ms, own_ms = (1e3 * seconds / n_empty for seconds in took(empty, 3).both)
     rows = [("two workers", start_s, clock_ms, own_ms, f"{OVERHEAD_GOAL_MS:g} {met(clock_ms, OVERHEAD_GOAL_MS)}")]
     header = ("", "start, s", "an empty task, ms", "of it here", "goal")
     show("A cluster of one's own, its scheduler in this process", header, rows)
@@ -220,7 +212,7 @@ class TimedRunner:
 def taken(work: Callable[[], object]) -> Took:
     """What a work takes by the clock, and of all processors in this process and those that it started."""
     busy_s = family_s()
-    clock_s = clock(work)
+    clock_s = took(work).clock_s
     return Took(clock_s, family_s() - busy_s)
 
 
@@ -247,19 +239,6 @@ def drain(crew: TaskRunner, task: Callable, items: list) -> list:
             raise done.fault
         values.append(done.value)
     return values
-
-
-def clock(work: Callable[[], object]) -> float:
-    """Seconds by the clock."""
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
-
-
-def both_clocks(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds by the clock, and of this process on the processor."""
-    busy = time.process_time()
-    return clock(work), time.process_time() - busy
 
 
 def nothing(number: int) -> int:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.bench.harness import HOME
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.region import Region
@@ -119,7 +119,7 @@ def _overlaps(rows: slice, cols: slice, grain: Floats) -> Floats:
 
 def big_dataset(side_px: int) -> Path:
     """The dataset of a made-up wafer, made now or kept from before."""
-    path = Path(tempfile.gettempdir()) / "wafer-viewer-bench" / f"made-{side_px}.wafer"
+    path = HOME / f"made-{side_px}.wafer"
     if not (path / "results" / RESULT / "surface.json").exists():
         shutil.rmtree(path, ignore_errors=True)
         unfinished = path.with_name(f"unfinished-{os.getpid()}.wafer")

@@ -9,12 +9,10 @@ runs on one thread. Light once traced is kept in the folder of temporary files. 
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,15 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
-
-from tests.support.noisy_maps import noisy_step, rmse  # noqa: E402
-from tests.truth.layouts import PILLBOX, TUNING, Layout, take  # noqa: E402
-from wafer_viewer.model.spec import replace  # noqa: E402
-from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
-from wafer_viewer.reconstruct.cleaning import clean as rules  # noqa: E402
-from wafer_viewer.reconstruct.cleaning.clean import (  # noqa: E402  # noqa: E402
+from tests.bench.harness import read_options, took
+from tests.support.noisy_maps import noisy_step, rmse
+from tests.support.paths import ROOT
+from tests.truth.layouts import PILLBOX, TUNING, Layout, take
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
+from wafer_viewer.reconstruct.cleaning import clean as rules
+from wafer_viewer.reconstruct.cleaning.clean import (
     clean,
     far_in_cloud,
     far_on_lattice,
@@ -40,8 +37,8 @@ from wafer_viewer.reconstruct.cleaning.clean import (  # noqa: E402  # noqa: E40
     settle_cleaning,
     settle_levy,
 )
-from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, height_noise_um, smooth  # noqa: E402
-from wafer_viewer.reconstruct.field_pipeline import (  # noqa: E402
+from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, height_noise_um, smooth
+from wafer_viewer.reconstruct.field_pipeline import (
     correct_edges,
     gate_peaks,
     prepare_field,
@@ -67,9 +64,7 @@ class Seen:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What cleaning does to errors, and what it costs.")
-    parser.add_argument("--quick", action="store_true", help="one small scene, under a minute")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     show_modes()
     show_sor(200 if quick else 500)
     show_fill()
@@ -188,7 +183,7 @@ def compile_all() -> None:
         "(guided, switching: medians)": lambda: denoising.medians_at(padded[2], *at),
     }
     np.median(z)
-    spent = {name: seconds(kernel) for name, kernel in kernels.items()}
+    spent = {name: took(kernel).processor_s for name, kernel in kernels.items()}
     default = sum(s for name, s in spent.items() if not name.startswith("("))
     print("\ncompiling, s: " + ", ".join(f"{name} {s:.2f}" for name, s in spent.items()))
     print(f"  the default recipe's together {default:.2f} s (the first one pays for numba's start)")
@@ -262,13 +257,7 @@ def a_field(salt: float, holes: float) -> Map:
 
 
 def least_ms(work: Callable[[], object], runs: int = 3) -> float:
-    return 1000 * min(seconds(work) for _ in range(runs))
-
-
-def seconds(work: Callable[[], object]) -> float:
-    started = time.process_time()
-    work()
-    return time.process_time() - started
+    return 1e3 * took(work, runs).processor_s
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.bench.tables import met, show
+from tests.bench.harness import HOME, met, show
 from tests.truth.virtual_wafer import PIXEL_UM, ROOM_UM, Known, chipped_share, ground, known, own_to_the_die
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.measure.dies.die_lattice import find_dies
@@ -56,7 +55,7 @@ class Part:
     @property
     def folder(self) -> Path:
         """Where its fields are kept."""
-        return Path(tempfile.gettempdir()) / "wafer-viewer-bench" / f"paper-{self.name}"
+        return HOME / f"paper-{self.name}"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -230,6 +229,3 @@ def _touch(one: Known, defect: Defect) -> bool:
     x_um = one.x_um + reach_um * np.append(0, np.cos(around))
     y_um = one.y_um + reach_um * np.append(0, np.sin(around))
     return bool(defect.outline.contains(x_um, y_um).any())
-
-
-__all__ = ["QUICK", "WHOLE", "known", "scanned", "show_paper", "told"]

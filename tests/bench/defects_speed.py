@@ -6,11 +6,6 @@ and kept between runs under the folder for temporary files.
 
 from __future__ import annotations
 
-import json
-import resource
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.bench.tables import met, show
+from tests.bench.harness import HOME, alone, met, peak_mb, show, took
 from tests.truth.defects import DEPTH_UM, Plan
 from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
@@ -101,9 +96,8 @@ class MadePattern:
 
 def made_mosaic(side_px: int) -> Path:
     """A mosaic on disk, made now or kept from before."""
-    folder = Path(tempfile.gettempdir()) / "wafer-viewer-bench"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"patterned-{side_px}-{DEPTH_UM:g}.zarr"
+    HOME.mkdir(parents=True, exist_ok=True)
+    path = HOME / f"patterned-{side_px}-{DEPTH_UM:g}.zarr"
     if not path.exists():
         write_mosaic(path, MadePattern(side_px))
     return path
@@ -113,15 +107,13 @@ def show_speed(quick: bool) -> None:
     """Each size in this process alone and on two workers, each time with a process of its own to lead it."""
     sizes, hands = ((QUICK_PX,), (1, 2)) if quick else (tuple(GOALS), (1, 2))
     rows = [row(side_px, made_mosaic(side_px), n) for side_px in sizes for n in hands]
-    header = ("mosaic", "workers", "dies s", "defects s", "clock s", "processor s", "leader GB", "worker GB", "goals")
+    header = "mosaic | workers | dies s | defects s | clock s | processor s | leader GB | worker GB | goals"
     show("Finding dies and defects on made-up mosaics on disk", header, rows)
 
 
 def row(side_px: int, path: Path, workers: int) -> tuple[str | float | int | None, ...]:
     """One line of the table; a goal is what all processes together need."""
-    command = [sys.executable, "-m", "tests.bench.defects_speed", str(path), str(workers)]
-    said = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
-    told = json.loads(said.stdout.splitlines()[-1])
+    told = alone(measured, path, workers)
     goals = "-"
     if side_px in GOALS:
         most_s, most_gb = GOALS[side_px]
@@ -144,9 +136,8 @@ def timed(path: Path, crew: TaskRunner, asked: Callable[[], list[tuple[float, fl
     """asked: seconds of processor and peak of memory of each worker."""
     inspected(made_mosaic(QUICK_PX), crew)
     before = [spent()[0], *(seconds for seconds, _ in asked())]
-    begin = time.perf_counter()
-    pixels, found, dies_s = inspected(path, crew)
-    clock_s = time.perf_counter() - begin
+    done = took(lambda: inspected(path, crew))
+    (pixels, found, dies_s), clock_s = done.result, done.clock_s
     leader, *others = [spent(), *asked()]
     told = {
         "pixels": pixels,
@@ -166,18 +157,11 @@ def inspected(path: Path, crew: TaskRunner) -> tuple[int, Inspection, float]:
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.measure.dies.die_lattice import find_dies
 
-    mosaic, begin = ZarrMosaic.open(path), time.perf_counter()
-    grid = find_dies(mosaic)
-    dies_s = time.perf_counter() - begin
-    return mosaic.shape[0] * mosaic.shape[1], inspect(mosaic, grid, rows_by=RowHands(crew, path)), dies_s
+    mosaic = ZarrMosaic.open(path)
+    dies = took(lambda: find_dies(mosaic))
+    return mosaic.shape[0] * mosaic.shape[1], inspect(mosaic, dies.result, rows_by=RowHands(crew, path)), dies.clock_s
 
 
 def spent() -> tuple[float, float]:
     """Seconds of processor of this process so far, and the most memory it had, GB."""
-    return time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-
-
-if __name__ == "__main__":
-    from tests.bench import defects_speed  # so that workers find what they are asked by its name
-
-    print(json.dumps(defects_speed.measured(Path(sys.argv[1]), int(sys.argv[2]))))
+    return time.process_time(), peak_mb() / 1e3

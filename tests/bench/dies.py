@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
+from tests.bench.harness import met, percent, show
 from tests.bench.recipes import ABLATION, CLASSIC, DEFAULT, MEASURES, ungated
-from tests.bench.tables import met, percent, show
 from tests.truth.layouts import Taken
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.bench import paper
+from tests.bench.harness import met, show
 from tests.bench.recipes import DEFAULT
 from tests.bench.seen import seen
-from tests.bench.tables import met, show
 from tests.truth.layouts import PILLBOX, Layout
 from tests.truth.scenes import BLOCKS_STEP_UM, STEP_SWEEP_UM
 from wafer_viewer.measure.tools.step_height import step_height

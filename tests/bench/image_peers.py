@@ -9,11 +9,7 @@ have noise of 0.03 to 0.6 px, which nobody tells the fits, and a tenth of outlie
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +18,7 @@ from skimage.filters import apply_hysteresis_threshold
 from skimage.measure import CircleModel, LineModelND, label, ransac, regionprops_table
 from skimage.morphology import dilation, footprint_rectangle, opening, reconstruction, remove_small_objects
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import read_options, took
 from tests.support.made_up_pictures import disc, strip
 from wafer_viewer.measure.base.robust_fit import fit_line
 from wafer_viewer.measure.defects.features import ellipse_of
@@ -56,9 +51,7 @@ class Case(NamedTuple):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Our image operations beside those of scikit-image.")
-    parser.add_argument("--quick", action="store_true", help="0.4 instead of 4 megapixels")
-    side = 640 if parser.parse_args().quick else 2048
+    side = 640 if read_options(__doc__).quick else 2048
     print(f"{side} x {side} pixels\n{'':44} {'ours ms':>8} {'theirs ms':>9} {'ratio':>6}  agreement")
     for case in (*of_scores(side), *of_heights(side), *of_defects(side), *of_edges()):
         results = case.ours(), case.theirs()
@@ -67,14 +60,8 @@ def main() -> None:
 
 
 def medians_ms(*functions: Callable[[], object]) -> list[float]:
-    spent = [[_seconds(function) for function in functions] for _ in range(RUNS)]
+    spent = [[took(function).clock_s for function in functions] for _ in range(RUNS)]
     return (1e3 * np.median(spent, axis=0)).tolist()
-
-
-def _seconds(function: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    function()
-    return time.perf_counter() - begun
 
 
 def same_pixels(ours: np.ndarray, theirs: np.ndarray) -> str:

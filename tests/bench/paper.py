@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.bench.tables import Cell
+from tests.bench.harness import Cell
 
 METHODS = ("GLV", "GLV_LW", "SML", "SML_LW", "TEN", "TEN_LW")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.bench.harness import percent, show
 from tests.bench.recipes import DEFAULT
-from tests.bench.tables import percent, show
 from wafer_viewer.measure.truth_comparison import quality
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field

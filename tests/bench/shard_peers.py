@@ -9,11 +9,8 @@ as a page asks for.
 
 from __future__ import annotations
 
-import argparse
 import shutil
-import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,8 +18,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BytesCodec, ShardingCodec
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import read_options, show, took
 from wafer_viewer.store.mosaic.layout import CHUNK, SHARD
 from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, Shards, codecs
 
@@ -32,18 +28,15 @@ PIPELINES = {"Zarr": "zarr.core.codec_pipeline.BatchedCodecPipeline", "zarrs": "
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Our shards beside Zarr and zarrs.")
-    parser.add_argument("--quick", action="store_true", help="4 megapixels")
-    side = 2048 if parser.parse_args().quick else 8192
+    side = 2048 if read_options(__doc__).quick else 8192
     layer = heights(side)
     with tempfile.TemporaryDirectory() as folder:
         rows = {"ours": measured(*ours(Path(folder) / "ours", layer), side)}
         for name, pipeline in PIPELINES.items():
             with zarr.config.set({"codec_pipeline.path": pipeline}):
                 rows[name] = measured(*theirs(Path(folder) / name, layer), side)
-    print(f"{side} x {side} pixels of float32\n{'':6} {'write s':>8} {'read s':>8} {'windows s':>9}")
-    for name, seconds in rows.items():
-        print(f"{name:6} {seconds[0]:8.2f} {seconds[1]:8.2f} {seconds[2]:9.2f}")
+    table = [(name, *seconds) for name, seconds in rows.items()]
+    show(f"{side} x {side} pixels of float32", " | write s | read s | windows s", table)
 
 
 def heights(side: int) -> np.ndarray:
@@ -60,13 +53,7 @@ def measured(write: Callable[[], None], read: Callable[[slice, slice], np.ndarra
     at = np.random.default_rng(3).integers(0, side - WINDOW_PX, (WINDOWS, 2))
     windows = [(slice(r, r + WINDOW_PX), slice(c, c + WINDOW_PX)) for r, c in at.tolist()]
     acts = (write, lambda: read(*whole), lambda: [read(*window) for window in windows])
-    return [min(_seconds(act) for _ in range(RUNS)) for act in acts]
-
-
-def _seconds(act: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    act()
-    return time.perf_counter() - begun
+    return [took(act, RUNS).clock_s for act in acts]
 
 
 def ours(folder: Path, layer: np.ndarray) -> tuple[Callable[[], None], Callable[[slice, slice], np.ndarray]]:

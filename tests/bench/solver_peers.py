@@ -9,16 +9,10 @@ space and a factorised coarsest level; shared unknowns, which it does not know, 
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from pathlib import Path
-
 import numpy as np
 from scipy.sparse import bsr_matrix, coo_array
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import read_options, took
 from wafer_viewer.reconstruct.pose_graph.amg_solver import Sparse, System, prepare, rigid
 
 PITCH_UM = 200.0, 150.0
@@ -28,9 +22,7 @@ RIGHT_SIDES, TIMED = 48, 4
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The solver of poses beside PyAMG.")
-    parser.add_argument("--quick", action="store_true", help="2500 fields")
-    sides = (50,) if parser.parse_args().quick else (100, 300)
+    sides = (50,) if read_options(__doc__).quick else (100, 300)
     print(f"{'fields':>7} {'unknowns':>8} | {'ours: set-up':>12} {'one':>6} {'48':>6} | {'PyAMG: set-up':>13} one 48")
     for side in sides:
         for size in (2, 3):
@@ -43,14 +35,10 @@ def measured(side: int, size: int) -> str:
     n = matrix.shape[0]
     right = matrix @ np.random.default_rng(1).normal(size=(n, RIGHT_SIDES))
 
-    clock = [time.perf_counter()]
-    solver = prepare(System(matrix, np.zeros((n, 0)), np.zeros((0, 0))), x_um, y_um)
-    clock.append(time.perf_counter())
-    solver.solve(right[:, :1], 1e-6)
-    clock.append(time.perf_counter())
-    solver.solve(right, 1e-2)
-    clock.append(time.perf_counter())
-    ours = np.diff(clock)
+    prepared = took(lambda: prepare(System(matrix, np.zeros((n, 0)), np.zeros((0, 0))), x_um, y_um))
+    solver = prepared.result
+    solved = (took(lambda: solver.solve(right[:, :1], 1e-6)), took(lambda: solver.solve(right, 1e-2)))
+    ours = [one.clock_s for one in (prepared, *solved)]
     theirs = of_pyamg(matrix, x_um, y_um, right)
     return (
         f"{side * side:7d} {n:8d} | {ours[0]:12.2f} {ours[1]:6.2f} {ours[2]:6.2f} | "
@@ -64,16 +52,15 @@ def of_pyamg(matrix: Sparse, x_um: np.ndarray, y_um: np.ndarray, right: np.ndarr
     size = matrix.blocksize[0]
     near = rigid(x_um - x_um.mean(), y_um - y_um.mean(), size).reshape(-1, size)
     plain = bsr_matrix((matrix.data, matrix.indices, matrix.indptr), shape=matrix.shape)
-    begun = time.perf_counter()
-    solver = pyamg.smoothed_aggregation_solver(
-        plain, B=near / np.abs(near).max(0), max_coarse=2000, coarse_solver="splu"
+    prepared = took(
+        lambda: pyamg.smoothed_aggregation_solver(
+            plain, B=near / np.abs(near).max(0), max_coarse=2000, coarse_solver="splu"
+        )
     )
-    ready = time.perf_counter()
-    solver.solve(right[:, 0], tol=1e-8, accel="cg")
-    one = time.perf_counter()
-    for k in range(TIMED):
-        solver.solve(right[:, k], tol=1e-3, accel="cg")
-    return ready - begun, one - ready, (time.perf_counter() - one) * RIGHT_SIDES / TIMED
+    solver = prepared.result
+    one = took(lambda: solver.solve(right[:, 0], tol=1e-8, accel="cg"))
+    some = took(lambda: [solver.solve(right[:, k], tol=1e-3, accel="cg") for k in range(TIMED)])
+    return prepared.clock_s, one.clock_s, some.clock_s * RIGHT_SIDES / TIMED
 
 
 def normal_matrix(side: int, size: int) -> tuple[Sparse, np.ndarray, np.ndarray]:

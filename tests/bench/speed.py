@@ -9,14 +9,11 @@ times on two threads are by the clock.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import os
 import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -25,11 +22,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from tests.bench import paper
+from tests.bench.harness import alone, highest, met, read_options, show, took
 from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
-from tests.bench.tables import met, show
 from tests.support.installation import run, sharpest_in_the_middle
 from tests.support.paths import ROOT
 from wafer_viewer.compute.dask_cluster import SETTINGS
@@ -57,9 +52,7 @@ LIVE_FRAMES, LIVE_GOAL_S = 3, 0.3
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="How fast a field becomes a surface.")
-    parser.add_argument("--quick", action="store_true", help="a short field, fewer runs")
-    quick = parser.parse_args().quick
+    quick = read_options(__doc__).quick
     show_first_call()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "field.npy"
@@ -90,13 +83,13 @@ def first_call(
     """Seconds of a reconstruction by command, from the start of its process to its end."""
     out = cache.with_suffix(".npz")
     words = (*command, "reconstruct", images, "--z-step-um", 4, "--pixel-um", 1, "-o", out)
-    began, busy = time.perf_counter(), children_s()
-    done = run(*words, cwd=images.parent, WAFER_VIEWER_CACHE=str(cache), **environment)
-    clock, processor = time.perf_counter() - began, children_s() - busy
+    busy = children_s()
+    called = took(lambda: run(*words, cwd=images.parent, WAFER_VIEWER_CACHE=str(cache), **environment))
+    done, processor = called.result, children_s() - busy
     if done.returncode:
         raise SystemExit(done.stderr)
     out.unlink()
-    return what, clock, processor, f"{FIRST_GOAL_S:g} {met(processor, FIRST_GOAL_S)}"
+    return what, called.clock_s, processor, f"{FIRST_GOAL_S:g} {met(processor, FIRST_GOAL_S)}"
 
 
 def children_s() -> float:
@@ -215,8 +208,7 @@ def live_s(file: Path) -> tuple[float, float, float]:
 
 def show_memory(file: Path) -> None:
     """A worker's own memory: what is mapped from the file is the system's."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as worker:
-        peak_mb = worker.submit(peak_memory_mb, file).result()
+    peak_mb = alone(peak_memory_mb, file)
     print(f"\nWorker's own memory at most: {peak_mb:.0f} MB (goal {MEMORY_GOAL_MB:g} {met(peak_mb, MEMORY_GOAL_MB)})")
 
 
@@ -224,25 +216,9 @@ def peak_memory_mb(file: Path) -> float:
     """The most anonymous memory of this process in MB while it reconstructs a field (Linux; nan elsewhere)."""
     warm_up()
     stack = mapped(file)
-    done, most = threading.Event(), [own_memory_mb()]
-
-    def watch() -> None:
-        while not done.wait(0.01):
-            most[0] = max(most[0], own_memory_mb())
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    reconstruct(stack, threads=1)
-    done.set()
-    watcher.join()
+    with highest(every_s=0.01) as most:
+        reconstruct(stack, threads=1)
     return most[0]
-
-
-def own_memory_mb() -> float:
-    if not sys.platform.startswith("linux"):
-        return float("nan")
-    status = Path(f"/proc/{os.getpid()}/status").read_text()
-    return int(status.split("RssAnon:")[1].split()[0]) / 1024
 
 
 def show_stitch(side: int) -> None:
@@ -296,13 +272,7 @@ def has_avx512() -> bool:
 
 def least(work: Callable[[], object], runs: int) -> tuple[float, float]:
     """Seconds by the clock and of processor time, each the least of some runs."""
-    return tuple(min(times) for times in zip(*(spent(work) for _ in range(runs)), strict=True))
-
-
-def spent(work: Callable[[], object]) -> tuple[float, float]:
-    clock, processor = time.perf_counter(), time.process_time()
-    work()
-    return time.perf_counter() - clock, time.process_time() - processor
+    return took(work, runs).both
 
 
 if __name__ == "__main__":

@@ -1,29 +1,20 @@
 """What stitching a grid costs, in a process of its own: time by the clock and of the processor, and anonymous memory.
 
-    python tests/bench/stitch_costs.py GRID.json RESULT.json
-
 Memory is RssAnon of /proc/self/status, looked at every few milliseconds: what the process holds itself. Pages of the
 height maps that the system keeps mapped and may drop at any time do not count. Kernels are compiled or loaded before.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from tests.bench.harness import alone, highest, took
 from tests.bench.stitch_judge import mosaic_of
 from tests.truth.field_grid import SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import Poses
@@ -59,11 +50,10 @@ class Meter:
         self.costs: dict[str, Cost] = {}
 
     def __call__(self, name: str, work: Callable[[], T]) -> T:
-        began, busy = time.perf_counter(), time.process_time()
-        with watched() as peak:
-            result = work()
-        self.costs[name] = Cost(time.perf_counter() - began, time.process_time() - busy, peak[0])
-        return result
+        with highest(every_s=LOOK_S) as peak:
+            done = took(work)
+        self.costs[name] = Cost(*done.both, peak[0])
+        return done.result
 
     def without(self, name: str, *parts: str) -> None:
         """Take the time of parts off the whole that they were measured in."""
@@ -72,31 +62,6 @@ class Meter:
             getattr(whole, k) - sum(getattr(self.costs[part], k) for part in parts) for k in ("clock_s", "processor_s")
         )
         self.costs[name] = replace(whole, clock_s=clock_s, processor_s=processor_s)
-
-
-@contextmanager
-def watched() -> Iterator[list[float]]:
-    """The most anonymous memory while it lasts, MB, in a list of one."""
-    peak, over = [anonymous_mb()], threading.Event()
-
-    def look() -> None:
-        while not over.wait(LOOK_S):
-            peak[0] = max(peak[0], anonymous_mb())
-
-    watcher = threading.Thread(target=look)
-    watcher.start()
-    try:
-        yield peak
-    finally:
-        over.set()
-        watcher.join()
-        peak[0] = max(peak[0], anonymous_mb())
-
-
-def anonymous_mb() -> float:
-    """RssAnon of this process."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssAnon"))
-    return int(line.split()[1]) / 1024
 
 
 def found_poses(made: Made, meter: Meter | None = None) -> Poses:
@@ -150,23 +115,13 @@ def windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
 
 def costs_of(grid: Grid) -> dict[str, Cost]:
     """The costs of a grid, measured in a process of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        asked, told = Path(folder) / "grid.json", Path(folder) / "costs.json"
-        asked.write_text(json.dumps(asdict(grid)))
-        subprocess.run([sys.executable, __file__, str(asked), str(told)], check=True)
-        return {name: Cost(**cost) for name, cost in json.loads(told.read_text()).items()}
+    return alone(measured, grid)
 
 
-def main(asked: str, told: str) -> None:
-    options: dict[str, Any] = json.loads(Path(asked).read_text())
-    grid = Grid(**{k: tuple(v) if isinstance(v, list) else v for k, v in options.items()})
-    with tempfile.TemporaryDirectory() as folder:
-        stitched(make(replace(SMALL, rows=2, cols=2)), Meter(), Path(folder))
-    meter = Meter()
-    with tempfile.TemporaryDirectory() as folder:
-        stitched(make(grid), meter, Path(folder))
-    Path(told).write_text(json.dumps({name: asdict(cost) for name, cost in meter.costs.items()}))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+def measured(grid: Grid) -> dict[str, Cost]:
+    """The costs of a grid, after a small one for which kernels are compiled or loaded."""
+    for one in (replace(SMALL, rows=2, cols=2), grid):
+        meter = Meter()
+        with tempfile.TemporaryDirectory() as folder:
+            stitched(make(one), meter, Path(folder))
+    return meter.costs

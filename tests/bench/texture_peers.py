@@ -9,7 +9,6 @@ Gwyddion's own library is called, the one that its program calls; nothing of it 
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import ctypes.util
 import importlib.util
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tests.bench.tables import show
+from tests.bench.harness import read_options, show
 from wafer_viewer.measure.texture.areal_texture import developed_fraction, scale_limited, texture
 from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.model.measurement.tool_options import TextureOptions
@@ -48,10 +47,7 @@ Values = dict[str, float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="small surfaces")
-    parser.add_argument("--all", action="store_true", help="every value of every surface")
-    asked = parser.parse_args()
+    asked = read_options(__doc__, all=False)
     surfaces = made(QUICK_PX if asked.quick else FULL_PX)
     own = {name: ours(z_um) for name, z_um in surfaces.items()}
     for peer, (found, how) in PEERS.items():

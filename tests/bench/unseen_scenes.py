@@ -9,18 +9,18 @@ from functools import partial
 
 import numpy as np
 
+from tests.bench.harness import percent, show
 from tests.bench.recipes import MEASURES, ungated
-from tests.bench.tables import percent, show
 from tests.truth.path_traced import path_traced_scene
-from tests.truth.unseen import FIRST_REPORTED_SEED, Unseen, drawn_scene
+from tests.truth.unseen import Unseen, drawn_scene, use_of
 from wafer_viewer.measure.truth_comparison import Quality, quality
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
 RENDERERS = {"layers blurred by FFT": (0,), "rays past walls": (1,), "both": (0, 1)}
 HEADER = (
-    "renderer, measure", "scenes", "of them empty", "kept %", "of the known %", "false %", "median", "worst tenth",
-    "worst", "interior", "of all kept", "RMSE um",
-)  # fmt: skip
+    "renderer, measure | scenes | of them empty | kept % | of the known % | false % | median | worst tenth | worst | "
+    "interior | of all kept | RMSE um"
+)
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,7 @@ def show_scenes(count: int, first_seed: int, measures: Sequence[str], one_by_one
     for renderer, parities in RENDERERS.items():
         chosen = [scene for scene in scenes if scene.seed % 2 in parities]
         rows += [(f"{renderer}, {m}", len(chosen), *summary([s.found[m] for s in chosen])) for m in measures if chosen]
-    kind = "reported" if first_seed >= FIRST_REPORTED_SEED else "for tuning"
-    show(f"Scenes of seeds {seeds[0]} to {seeds[-1]} ({kind})", HEADER, rows)
+    show(f"Scenes of seeds {seeds[0]} to {seeds[-1]} ({use_of(first_seed)})", HEADER, rows)
 
 
 def show_each(scenes: Sequence[JudgedScene]) -> None:

@@ -24,6 +24,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 
 FIRST_REPORTED_SEED = 1000
+"""Seeds below are for tuning."""
 BORDER_PX = 24
 """How far the interior is from walls and from the border of the frame."""
 FEWEST_FRAMES, MOST_FRAMES = 25, 150
@@ -33,6 +34,11 @@ VIEWS, RIM_VIEWS = 120, 960
 Of the bright line along a polished rim few points make as many sharp copies, which look in focus where nothing is: 28,
 14 and 0 % of the heights of seed 45 were false with 120, 480 and 1500 points.
 """
+
+
+def use_of(first_seed: int) -> str:
+    """What figures of seeds from this one on are for."""
+    return "reporting" if first_seed >= FIRST_REPORTED_SEED else "tuning"
 
 
 @dataclass(frozen=True)
