@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tests.bench.harness import read_options, show, took
+from tests.support.surfaces import height_map
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap
 
 STEP_UM, NOISE_UM, TILT = 399.88, 1.0, 0.5e-3
 SIDE_PX, GAP_PX, PIXEL_UM = 800, 50, 0.46729
@@ -84,10 +85,7 @@ def two_faces(seed: int, correlation_px: float, side_px: int = SIDE_PX) -> Heigh
     cols, rows = np.arange(z_um.shape[1], dtype=np.float32), np.arange(side_px, dtype=np.float32)
     z_um += np.float32(TILT * PIXEL_UM) * (np.float32(0.8) * cols + np.float32(0.6) * rows[:, None])
     code = np.where(np.isfinite(z_um), np.uint8(0), np.uint8(10))
-    return HeightMap(
-        z_um=z_um, z_raw_um=z_um, confidence=z_um, all_in_focus=code, origin=code, pixel_um=PIXEL_UM, x0_um=0.0,
-        y0_um=0.0, provenance=Provenance(calibration=EXACT, simulated=True),
-    )  # fmt: skip
+    return height_map(z_um, PIXEL_UM, grey=code, confidence=z_um, origin=code, calibration=EXACT, simulated=True)
 
 
 def _noise(rng: np.random.Generator, correlation_px: float, side_px: int) -> tuple[Floats, Floats]:

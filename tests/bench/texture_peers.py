@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from tests.bench.harness import read_options, show
+from tests.support.surfaces import height_map
 from wafer_viewer.measure.texture.areal_texture import developed_fraction, scale_limited, texture
 from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.model.measurement.tool_options import TextureOptions
@@ -133,17 +134,7 @@ FILTERED = {
 
 
 def as_map(z_um: Floats) -> HeightMap:
-    z = z_um.astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=np.ones_like(z),
-        all_in_focus=np.zeros(z.shape, np.uint8),
-        origin=np.where(np.isfinite(z), 0, 12).astype(np.uint8),
-        pixel_um=PIXEL_UM,
-        x0_um=0.0,
-        y0_um=(len(z) - 1) * PIXEL_UM,
-    )
+    return height_map(z_um, PIXEL_UM, y0_um=(len(z_um) - 1) * PIXEL_UM)
 
 
 def gwyddion(z_um: Floats) -> Values:

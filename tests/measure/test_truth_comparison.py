@@ -15,9 +15,10 @@ from scipy.stats import pearsonr
 from skimage.metrics import mean_squared_error, peak_signal_noise_ratio
 
 import wafer_viewer as wv
+from tests.support.surfaces import height_map
 from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth, error_by_distance, quality, smoothness
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 ROWS, COLS = 40, 60
 
@@ -135,10 +136,7 @@ def test_errors_grow_towards_an_edge(truth_um):
 
 
 def a_map(z_um: NDArray, raw_um: NDArray, origin: NDArray) -> HeightMap:
-    z, raw = z_um.astype(np.float32), raw_um.astype(np.float32)
-    grey = np.zeros(z.shape, np.uint8)
-    made = Provenance(z_step_um=4.0)
-    return HeightMap(z, raw, np.ones_like(z), grey, origin.astype(np.uint8), 0.5, 0.0, 0.0, made)
+    return height_map(z_um, 0.5, z_raw_um=raw_um, origin=origin.astype(np.uint8), z_step_um=4.0)
 
 
 def test_a_height_map_is_compared_by_what_measurements_use(truth_um):

@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.support.surfaces import height_map
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 
 def flat(rows=40, cols=60, pixel=0.5) -> HeightMap:
-    z = np.zeros((rows, cols), np.float32)
-    origin = np.zeros(z.shape, np.uint8)
-    grey = np.zeros(z.shape, np.uint8)
-    return HeightMap(
-        z_um=z, z_raw_um=z, confidence=z + 1, all_in_focus=grey, origin=origin, pixel_um=pixel, x0_um=100.0, y0_um=50.0
-    )
+    return height_map(np.zeros((rows, cols)), pixel, 100.0, 50.0)
 
 
 def test_a_rectangle_takes_the_pixels_whose_centres_it_holds():

@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from tests.support.surfaces import height_map
 from tests.truth.endless_wafer import Lattice, Wafer, look
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 X0_UM, Y0_UM, SHAPE = 100.0, 700.0, (480, 640)
 
@@ -33,17 +34,8 @@ def taken(
     z, grey, sure = look(wafer, Lattice(shape, (x0_um + x_um, y0_um + y_um), (cos, sin), (sin, -cos)))
     rng = np.random.default_rng(seed)
     z = (z + rng.normal(0, 0.05, shape)).astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z.copy(),
-        confidence=sure,
-        all_in_focus=np.clip(grey + rng.normal(0, 2, shape), 0, 255).astype(np.uint8),
-        origin=np.full(shape, Origin.MEASURED, np.uint8),
-        pixel_um=pixel_um,
-        x0_um=x0_um,
-        y0_um=y0_um,
-        provenance=Provenance(z_step_um=2.0),
-    )
+    seen = np.clip(grey + rng.normal(0, 2, shape), 0, 255).astype(np.uint8)
+    return height_map(z, pixel_um, x0_um, y0_um, grey=seen, confidence=sure, z_step_um=2.0)
 
 
 def with_heights(surface: HeightMap, z_um: np.ndarray) -> HeightMap:

@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.support.surfaces import height_map
 from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap
 
 PIXEL_UM = 0.5
 SIGMA_UM = 0.05
@@ -87,9 +88,7 @@ def wafer(
     grey += rng.standard_normal(shape, np.float32) * 3
     holes = rng.random(shape, np.float32) < unmeasured
     z[holes] = np.nan
-    origin = np.where(holes, Origin.NO_TEXTURE, Origin.MEASURED).astype(np.uint8)
-    picture = np.clip(grey, 0, 255).astype(np.uint8)
-    surface = HeightMap(z, z, np.ones(shape, np.float32), picture, origin, PIXEL_UM, 0.0, 0.0)
+    surface = height_map(z, PIXEL_UM, grey=np.clip(grey, 0, 255).astype(np.uint8))
     return Wafer(surface, grid, planted)
 
 

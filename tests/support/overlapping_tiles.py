@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from tests.support.surfaces import height_map
+from wafer_viewer.model.surface.height_map import HeightMap
 
 PIXEL_UM = 0.5
 
@@ -43,17 +44,7 @@ def a_field(
     grey, z = (_read(layer, row + off_px[0], col + off_px[1], shape) for layer in (sample.grey, sample.z_um))
     seen = np.clip(np.rint(grey + rng.normal(0, noise_counts, shape)), 0, 255).astype(np.uint8)
     heights = (z + rng.normal(0, noise_um, shape)).astype(np.float32)
-    return HeightMap(
-        z_um=heights,
-        z_raw_um=heights,
-        confidence=np.ones(shape, np.float32),
-        all_in_focus=seen,
-        origin=np.full(shape, Origin.MEASURED, np.uint8),
-        pixel_um=PIXEL_UM,
-        x0_um=col * PIXEL_UM,
-        y0_um=-row * PIXEL_UM,
-        provenance=Provenance(z_step_um=2.0),
-    )
+    return height_map(heights, PIXEL_UM, col * PIXEL_UM, -row * PIXEL_UM, grey=seen, z_step_um=2.0)
 
 
 def _read(layer: NDArray, row: float, col: float, shape: tuple[int, int]) -> NDArray:

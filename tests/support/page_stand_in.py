@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.support import surfaces
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.rendering.render_dispatch import paint
 from wafer_viewer.session.rendering.render_refused import PlacedField
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
@@ -21,23 +22,11 @@ ROWS, COLS = 540, 720
 
 
 def height_map(
-    z_um: np.ndarray, pixel_um: float = PIXEL_UM, x0_um: float = 0.0, y0_um: float = 0.0, grey=None
+    z_um: np.ndarray, pixel_um: float = PIXEL_UM, x0_um: float = 0.0, y0_um: float = 0.0, grey=128
 ) -> HeightMap:
     """A map of heights; NaN has no texture."""
-    z = z_um.astype(np.float32)
-    grey = np.full(z.shape, 128, np.uint8) if grey is None else grey
-    origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
-    confidence = np.where(np.isfinite(z), 0.9, 0.1).astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=confidence,
-        all_in_focus=grey,
-        origin=origin,
-        pixel_um=pixel_um,
-        x0_um=x0_um,
-        y0_um=y0_um,
-    )
+    sure = np.where(np.isfinite(z_um), 0.9, 0.1).astype(np.float32)
+    return surfaces.height_map(z_um, pixel_um, x0_um, y0_um, grey=grey, confidence=sure)
 
 
 def _place(surface: HeightMap) -> tuple[tuple[int, int], float, float, float]:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tests.support.surfaces import height_map
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 
 @dataclass(frozen=True)
@@ -70,18 +71,8 @@ def made(
     if gap is not None:
         missing = gap.contains(x, y)
         origin[missing], z[missing], grey[missing] = Origin.NOT_COVERED, np.nan, 0
-    z = z.astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=np.ones_like(z),
-        all_in_focus=np.clip(grey, 0, 255).astype(np.uint8),
-        origin=origin,
-        pixel_um=wafer.pixel_um,
-        x0_um=0.0,
-        y0_um=float(y_um[0]),
-        provenance=Provenance(simulated=True),
-    )
+    seen = np.clip(grey, 0, 255).astype(np.uint8)
+    return height_map(z, wafer.pixel_um, y0_um=float(y_um[0]), grey=seen, origin=origin, simulated=True)
 
 
 def covered(wafer: Wafer, x, y, no_die, printed):

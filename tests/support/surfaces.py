@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -24,25 +26,35 @@ def coordinates(rows, cols):
     return (np.arange(cols) - (cols - 1) / 2) * PIXEL_UM, ((rows - 1) / 2 - np.arange(rows)) * PIXEL_UM
 
 
-def surface_of(z_um, z_raw_um=None, origin=None, calibration=None, recipe=Recipe(), **provenance) -> HeightMap:
+def height_map(
+    z_um,
+    pixel_um=PIXEL_UM,
+    x0_um=0.0,
+    y0_um=0.0,
+    *,
+    z_raw_um=None,
+    grey: Any = 0,
+    confidence: Any = 1.0,
+    origin=None,
+    **provenance,
+) -> HeightMap:
+    """A map of heights, NaN without texture; grey and confidence are arrays, or one value for all pixels."""
     z = np.asarray(z_um, np.float32)
-    rows, cols = z.shape
-    x_um, y_um = coordinates(rows, cols)
+    raw = z if z_raw_um is None else np.asarray(z_raw_um, np.float32)
+    sure, picture = (
+        layer if isinstance(layer, np.ndarray) else np.full(z.shape, layer, kind)
+        for layer, kind in ((confidence, np.float32), (grey, np.uint8))
+    )
     if origin is None:
         origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z if z_raw_um is None else np.asarray(z_raw_um, np.float32),
-        confidence=np.ones_like(z),
-        all_in_focus=np.zeros(z.shape, np.uint8),
-        origin=np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
-        if origin is None
-        else origin,
-        pixel_um=PIXEL_UM,
-        x0_um=float(x_um[0]),
-        y0_um=float(y_um[0]),
-        provenance=Provenance(calibration=calibration, recipe=recipe, **provenance),
-    )
+    return HeightMap(z, raw, sure, picture, origin, pixel_um, x0_um, y0_um, Provenance(**provenance))
+
+
+def surface_of(z_um, z_raw_um=None, origin=None, **provenance) -> HeightMap:
+    """A map centred on (0, 0)."""
+    x_um, y_um = coordinates(*np.shape(z_um))
+    place = PIXEL_UM, float(x_um[0]), float(y_um[0])
+    return height_map(z_um, *place, z_raw_um=z_raw_um, origin=origin, **provenance)
 
 
 def gauge_blocks(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from tests.support.surfaces import height_map
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow
 
 WALL_UM, DARK_GREY = 4.0, 18
@@ -23,14 +24,5 @@ def virtual_part(
     walls = maximum_filter(truth_um, 5) - minimum_filter(truth_um, 5) > WALL_UM
     z = gaussian_filter(truth_um, 1.0) + 0.5 * gaussian_filter(rng.standard_normal(truth_um.shape), 1.2)
     z = np.where(walls | (grey < DARK_GREY) | (rng.random(z.shape) < 0.02), np.nan, z).astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=np.ones_like(z),
-        all_in_focus=np.clip(grey + 3 * rng.standard_normal(z.shape), 0, 255).astype(np.uint8),
-        origin=np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8),
-        pixel_um=pixel_um,
-        x0_um=x_um - half_um[0],
-        y0_um=y_um + half_um[1],
-        provenance=Provenance(simulated=True),
-    )
+    seen = np.clip(grey + 3 * rng.standard_normal(z.shape), 0, 255).astype(np.uint8)
+    return height_map(z, pixel_um, x_um - half_um[0], y_um + half_um[1], grey=seen, simulated=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from tests.support.surfaces import height_map
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, SceneWindow
 from wafer_viewer.rigs.virtual.scenes.wafer import RADIUS_UM
 
@@ -18,14 +19,5 @@ def virtual_wafer(pixel_um: float, noise_um: float = 0.3, unmeasured_fraction: f
     z += noise_um * rng.standard_normal(z.shape).astype(np.float32)
     z[rng.random(z.shape) < unmeasured_fraction] = np.nan
     grey = sheets.radiance_a * sheets.cover + sheets.radiance_b * (1 - sheets.cover)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=np.ones_like(z),
-        all_in_focus=np.clip(250 * grey, 0, 255).astype(np.uint8),
-        origin=np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8),
-        pixel_um=pixel_um,
-        x0_um=window.x0_um,
-        y0_um=window.y0_um,
-        provenance=Provenance(simulated=True),
-    )
+    seen = np.clip(250 * grey, 0, 255).astype(np.uint8)
+    return height_map(z, pixel_um, window.x0_um, window.y0_um, grey=seen, simulated=True)

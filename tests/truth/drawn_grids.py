@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from tests.support.surfaces import height_map
+from wafer_viewer.model.surface.height_map import HeightMap
 
 Floats = NDArray[np.float64]
 Kind = Literal["random", "dies", "dusty dies", "lines"]
@@ -300,14 +301,5 @@ def _held(grey: Floats, what: str) -> Floats:
 
 def _height_map(grey: Floats, stage_px: Floats, shape: tuple[int, int], rng: np.random.Generator) -> HeightMap:
     z = rng.normal(0, 0.3, shape).astype(np.float32)
-    return HeightMap(
-        z,
-        z,
-        np.full(shape, 0.8, np.float32),
-        np.clip(np.rint(grey), 0, 255).astype(np.uint8),
-        np.full(shape, Origin.MEASURED, np.uint8),
-        pixel_um=PIXEL_UM,
-        x0_um=float(stage_px[0]) * PIXEL_UM,
-        y0_um=-float(stage_px[1]) * PIXEL_UM,
-        provenance=Provenance(simulated=True),
-    )
+    seen, (x0_um, y0_um) = np.clip(np.rint(grey), 0, 255).astype(np.uint8), stage_px * (PIXEL_UM, -PIXEL_UM)
+    return height_map(z, PIXEL_UM, float(x0_um), float(y0_um), grey=seen, confidence=0.8, simulated=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
-from tests.support.surfaces import calibration
+from tests.support.surfaces import calibration, height_map
 from wafer_viewer.measure.defects.inspection import golden_of_surface, inspect
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectLimits, DefectRecipe, Inspection
@@ -232,10 +232,7 @@ def test_a_golden_die_that_looks_otherwise_is_refused() -> None:
 
 
 def flat_surface(z: np.ndarray) -> HeightMap:
-    grey = np.full(z.shape, 100, np.uint8)
-    origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
-    heights = z.astype(np.float32)
-    return HeightMap(heights, heights, np.ones(z.shape, np.float32), grey, origin, PIXEL_UM, 0.0, 0.0)
+    return height_map(z, PIXEL_UM, grey=100)
 
 
 def with_heights(surface: HeightMap, z: np.ndarray) -> HeightMap:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tests.support.overlapping_tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights, with_picture
+from tests.support.surfaces import height_map
 from wafer_viewer.model.surface.field_poses import ObservationSource, RejectionReason
-from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.pair_registration import PairShift, refine_pair, register, register_pair
 
 SHAPE = (200, 240)
@@ -215,16 +216,6 @@ def test_where_nothing_was_ever_sharp_pictures_may_differ():
 
 
 def _of_noise(noise: np.random.Generator, x0_um: float) -> HeightMap:
-    shape = (270, 360)
-    grey = ndimage.gaussian_filter(noise.normal(size=shape), 2.0)
-    nothing = np.full(shape, np.nan, np.float32)
-    return HeightMap(
-        z_um=nothing,
-        z_raw_um=nothing,
-        confidence=np.zeros(shape, np.float32),
-        all_in_focus=(128 + 200 * grey).clip(0, 255).astype(np.uint8),
-        origin=np.full(shape, Origin.NO_TEXTURE, np.uint8),
-        pixel_um=1.0,
-        x0_um=x0_um,
-        y0_um=0.0,
-    )
+    grey = ndimage.gaussian_filter(noise.normal(size=(270, 360)), 2.0)
+    seen = (128 + 200 * grey).clip(0, 255).astype(np.uint8)
+    return height_map(np.full(grey.shape, np.nan), 1.0, x0_um, grey=seen, confidence=0.0)

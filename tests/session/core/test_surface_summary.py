@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from tests.support.surfaces import height_map
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.stitching import stitch
 from wafer_viewer.session.core.dataset_library import load_summary, save_summary, summarise
@@ -14,16 +15,7 @@ from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 def flat(z_um, *, x0_um=0.0, y0_um=0.0, shape=(40, 60), noise_um=0.0):
     z = np.full(shape, z_um, np.float32) + np.random.default_rng(3).normal(0, noise_um, shape).astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z.copy(),
-        confidence=np.ones(shape, np.float32),
-        all_in_focus=np.zeros(shape, np.uint8),
-        origin=np.zeros(shape, np.uint8),
-        pixel_um=0.5,
-        x0_um=x0_um,
-        y0_um=y0_um,
-    )
+    return height_map(z, 0.5, x0_um, y0_um, z_raw_um=z.copy())
 
 
 def unmeasured(surface, rows, cols, why):

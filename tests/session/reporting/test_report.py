@@ -12,6 +12,7 @@ from PIL import Image
 
 from tests.support.datasets.grid_dataset import RESULT
 from tests.support.datasets.samples import CALIBRATION, make_job, make_plan
+from tests.support.surfaces import height_map
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.sample import Sample
@@ -41,16 +42,7 @@ def surface() -> HeightMap:
     x = np.mgrid[:240, :320][1]
     z = (np.where(x < 160, 12.0, 0.0) + np.random.default_rng(2).normal(0, 0.05, x.shape)).astype(np.float32)
     z[20:60, 20:60] = np.nan
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z.copy(),
-        confidence=np.ones(z.shape, np.float32),
-        all_in_focus=np.full(z.shape, 120, np.uint8),
-        origin=np.where(np.isfinite(z), 0, 12).astype(np.uint8),
-        pixel_um=0.5,
-        x0_um=-79.75,
-        y0_um=59.75,
-    )
+    return height_map(z, 0.5, -79.75, 59.75, grey=120)
 
 
 @pytest.fixture(scope="module")

@@ -144,14 +144,8 @@ def test_csv_is_a_table_of_stage_points(tmp_path):
 
 
 def test_stl_is_a_mesh_that_faces_up_and_leaves_holes(tmp_path):
-    surface = make_surface(rows=20, cols=40)
-    flat = HeightMap(
-        **{name: getattr(surface, name) for name in ("z_raw_um", "confidence", "all_in_focus", "origin")},
-        z_um=np.where(np.isfinite(surface.z_um), np.float32(7), surface.z_um),
-        pixel_um=0.5,
-        x0_um=0.0,
-        y0_um=0.0,
-    )
+    surface = make_surface(rows=20, cols=40, x0_um=0.0, y0_um=0.0)
+    flat = dataclasses.replace(surface, z_um=np.where(np.isfinite(surface.z_um), np.float32(7), surface.z_um))
     export(flat, tmp_path / "a.stl")
     mesh = trimesh.load(tmp_path / "a.stl")
     valid = np.isfinite(flat.z_um)

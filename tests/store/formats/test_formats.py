@@ -17,6 +17,7 @@ import trimesh
 from tests.bench.big_mosaic import MadeWafer
 from tests.support.datasets.samples import CALIBRATION, assert_same_surface, make_surface
 from tests.support.paths import ROOT
+from tests.support.surfaces import height_map
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import MESHES, READ, WRITTEN, every_for, formats_markdown
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
@@ -42,15 +43,8 @@ def letter_f(**place) -> HeightMap:
 
 
 def plain(z, **at) -> HeightMap:
-    gaps = np.isnan(z)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=np.where(gaps, np.float32(0), np.float32(0.5)),
-        all_in_focus=np.nan_to_num(z * 3).astype(np.uint8),
-        origin=np.where(gaps, np.uint8(Origin.NO_TEXTURE), np.uint8(Origin.MEASURED)),
-        **at,
-    )
+    confidence = np.where(np.isnan(z), np.float32(0), np.float32(0.5))
+    return height_map(z, grey=np.nan_to_num(z * 3).astype(np.uint8), confidence=confidence, **at)
 
 
 def test_the_documentation_has_the_table_of_the_formats():

@@ -8,12 +8,13 @@ import numpy as np
 
 from tests.support.datasets.released import MARKS, SETTLED
 from tests.support.datasets.samples import CALIBRATION, make_job, make_plan
+from tests.support.surfaces import height_map
 from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.session.core.dataset_library import save_summary, summarise
 from wafer_viewer.session.planning.verdicts import verdict_of
@@ -41,17 +42,8 @@ def surface(height_um: float, seed: int = 2) -> HeightMap:
     x = np.mgrid[:ROWS, :COLS][1]
     noise = np.random.default_rng(seed).normal(0, 0.05, x.shape)
     z = (np.where(x < COLS / 2, height_um, 0.0) + noise).astype(np.float32)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z.copy(),
-        confidence=np.ones(z.shape, np.float32),
-        all_in_focus=np.full(z.shape, 120, np.uint8),
-        origin=np.zeros(z.shape, np.uint8),
-        pixel_um=PIXEL_UM,
-        x0_um=-PIXEL_UM * (COLS - 1) / 2,
-        y0_um=PIXEL_UM * (ROWS - 1) / 2,
-        provenance=Provenance(recipe=RECIPE, calibration=CALIBRATED),
-    )
+    x0_um, y0_um = -PIXEL_UM * (COLS - 1) / 2, PIXEL_UM * (ROWS - 1) / 2
+    return height_map(z, PIXEL_UM, x0_um, y0_um, grey=120, recipe=RECIPE, calibration=CALIBRATED)
 
 
 def released_job(*features: Feature, dies: Dies | None = None) -> Job:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.support.surfaces import height_map
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 ROWS, COLS = 6, 8
 CALIBRATION = Calibration(
@@ -85,17 +86,11 @@ def make_surface(
     origin = np.zeros((rows, cols), np.uint8)
     origin[3:6, 4:9] = Origin.FILLED
     origin[10:16, 20:31] = Origin.NO_TEXTURE
-    return HeightMap(
-        z_um=np.where(origin >= 10, np.nan, z).astype(np.float32),
-        z_raw_um=np.where(origin > 0, np.nan, z + 0.1).astype(np.float32),
-        confidence=rng.random((rows, cols), np.float32),
-        all_in_focus=rng.integers(0, np.iinfo(grey).max, (rows, cols), grey),
-        origin=origin,
-        pixel_um=pixel_um,
-        x0_um=x0_um,
-        y0_um=y0_um,
-        provenance=Provenance(**provenance),
-    )
+    return height_map(
+        np.where(origin >= 10, np.nan, z), pixel_um, x0_um, y0_um, origin=origin,
+        z_raw_um=np.where(origin > 0, np.nan, z + 0.1), confidence=rng.random((rows, cols), np.float32),
+        grey=rng.integers(0, np.iinfo(grey).max, (rows, cols), grey), **provenance,
+    )  # fmt: skip
 
 
 def assert_same_surface(a: HeightMap, b: HeightMap) -> None:
