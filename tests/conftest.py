@@ -76,7 +76,7 @@ def no_markup_in_f_strings() -> Iterator[None]:
 def quick_passwords() -> Iterator[None]:
     """Hashes of passwords cost next to nothing: what they cost is for tests about that."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wafer_viewer.session.core.page_password._LOG2_COST", 4)
+        patch.setattr("wafer_viewer.session.core.private_file._LOG2_COST", 4)
         yield
 
 

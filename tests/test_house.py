@@ -166,7 +166,7 @@ def test_profiles_steps_and_gauge_checks_need_no_compiler():
 
 @pytest.mark.slow
 def test_the_page_and_its_render_process_start_without_what_draws_for_print():
-    started = "wafer_viewer.gui.app, wafer_viewer.session.rendering.render_dispatch"
+    started = "wafer_viewer.gui.app, wafer_viewer.session.rendering.render_pictures"
     code = f"import sys, {started}; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

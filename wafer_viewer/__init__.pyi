@@ -11,9 +11,9 @@ from .measure.dies.given_lattice_fit import fitted_dies as fitted_dies
 from .measure.gauge.find_faces import find_faces as find_faces
 from .measure.gauge.gauge_check import gauge_check as gauge_check
 from .measure.gauge.gauge_check import gauge_repeat as gauge_repeat
-from .measure.gauge.gauge_rr import gauge_rr as gauge_rr
-from .measure.gauge.gauge_rr import repeats_of as repeats_of
-from .measure.gauge.gauge_rr import study_rr as study_rr
+from .measure.gauge.gauge_studies import gauge_rr as gauge_rr
+from .measure.gauge.gauge_studies import repeats_of as repeats_of
+from .measure.gauge.gauge_studies import study_rr as study_rr
 from .measure.texture.areal_texture import texture as texture
 from .measure.texture.roughness import roughness as roughness
 from .measure.tools.angle import face_angle as face_angle
@@ -50,10 +50,9 @@ from .model.gauge import GaugeRR as GaugeRR
 from .model.gauge import GaugeTerms as GaugeTerms
 from .model.inspection.defect import DefectLimits as DefectLimits
 from .model.inspection.defect import DefectRecipe as DefectRecipe
-from .model.inspection.defect_verdict import verdict_of as verdict_of
+from .model.inspection.defect import verdict_of as verdict_of
 from .model.inspection.die_grid import DieGrid as DieGrid
 from .model.job import Job as Job
-from .model.measurement.levelling import Levelling as Levelling
 from .model.measurement.measurements import AreaVolume as AreaVolume
 from .model.measurement.measurements import Chipping as Chipping
 from .model.measurement.measurements import CircleSize as CircleSize
@@ -72,6 +71,7 @@ from .model.measurement.measurements import StepHeight as StepHeight
 from .model.measurement.measurements import StepProfile as StepProfile
 from .model.measurement.measurements import Texture as Texture
 from .model.measurement.tool_options import Conditions as Conditions
+from .model.measurement.tool_options import Levelling as Levelling
 from .model.quantity import Length as Length
 from .model.quantity import Quantity as Quantity
 from .model.region import Region as Region
@@ -86,7 +86,7 @@ from .reconstruct.field_pipeline import reconstruct as reconstruct
 from .reconstruct.focus_evidence import focus_curve as focus_curve
 from .reconstruct.stitching import stitch as stitch
 from .rigs.rig_config import RigConfig as RigConfig
-from .session.acquisition.conformance import check_conformance as check_conformance
+from .session.acquisition.headless import check_conformance as check_conformance
 from .session.acquisition.headless import go_to_focus as go_to_focus
 from .session.calibration.frames import CalibrationSite as CalibrationSite
 from .session.calibration.headless import accept_calibration as accept_calibration
@@ -95,7 +95,7 @@ from .session.gauge.repeat_scans import studies_of as studies_of
 from .session.reporting.conformance_report import verify_conformance as verify_conformance
 from .session.reporting.conformance_report import write_conformance as write_conformance
 from .session.session import Session as Session
-from .session.surface.field_export import write_fields as write_fields
+from .session.surface.worker_tasks import write_fields as write_fields
 from .store.dataset.dataset import Dataset as Dataset
 from .store.dataset.stack_import import import_dataset as import_dataset
 from .store.dataset.stack_import import open_stack as open_stack
@@ -104,7 +104,7 @@ from .store.formats.exporters import write_surface as write_surface
 from .store.formats.npz_file import read_npz as read_npz
 from .store.formats.readers import read_surface as read_surface
 from .store.records.calibration_records import calibration_records as calibration_records
-from .store.records.gauge_records import read_certificate as read_certificate
+from .store.records.calibration_records import read_certificate as read_certificate
 from .store.records.golden_dies import open_golden as open_golden
 from .store.records.golden_dies import save_golden as save_golden
 from .store.records.inspection_records import read_defect_recipe as read_defect_recipe

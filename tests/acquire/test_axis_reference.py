@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.acquire.conftest import COLS, ROWS
-from wafer_viewer.acquire.axis_reference import marked_axes, reference_axes
+from wafer_viewer.acquire.pulse_reconciliation import marked_axes, reference_axes
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.errors import MotionStopped, RigError
 from wafer_viewer.model.spec import replace

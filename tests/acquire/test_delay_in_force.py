@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from wafer_viewer.acquire.scan_runner import run_scan
-from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
+from wafer_viewer.rigs.virtual.faults import CalibrationErrors
 
 
 def largest_error_um(frames, place):

@@ -13,9 +13,9 @@ from tests.support.campaigns import drawn_after
 from tests.support.hybrid_rig import hybrid_rig, played_back_rig, without_ringing
 from tests.support.placed_scene import PlacedScene, pictured, raw_heights_um
 from tests.support.planted_faults import scan_with_faults, z_error_counts
-from wafer_viewer.acquire.axis_reference import reference_axes
 from wafer_viewer.acquire.pass_runner import device_clock
 from wafer_viewer.acquire.planner import plan_scan
+from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.spec import replace

@@ -22,7 +22,7 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.job import Job
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.stitching import stitch
-from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
+from wafer_viewer.rigs.virtual.faults import CalibrationErrors
 from wafer_viewer.rigs.virtual.rig import PIXEL_UM, VirtualRig, virtual_limits
 from wafer_viewer.session.acquisition.headless import scan_to
 from wafer_viewer.session.calibration.frames import CalibrationSite

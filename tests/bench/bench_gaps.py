@@ -19,7 +19,7 @@ from tests.bench.harness import percent, read_options, show
 from tests.truth.phase import STAIR_PX, Stairs, Tilted, stairs
 from tests.truth.unseen import FIRST_REPORTED_SEED
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.preprocess.frame_gaps import FrameGap, frame_gaps
+from wafer_viewer.reconstruct.preprocess.frame_jitter import FrameGap, frame_gaps
 
 SCENES, QUICK_SCENES = 6, 2
 STEPS_DOF = (0.25, 0.35, 0.45, 0.6, 0.75)

@@ -21,7 +21,7 @@ import msgspec
 
 from tests.bench.harness import Cell, alone, peak_mb, read_options, show, took
 from tests.support.plans import plan_without_motion
-from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
+from wafer_viewer.gui.scenes.scene_view import acquire_contents
 from wafer_viewer.gui.shell.left_panel import FieldMap
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.devices import PulseSummary

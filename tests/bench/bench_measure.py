@@ -19,8 +19,8 @@ from wafer_viewer.measure.base.levelled_surface import Levelled, datum
 from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

@@ -21,10 +21,9 @@ import numpy as np
 from tests.bench.harness import read_options, took
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import HeightOffsets, RejectionReason, Shifts
-from wafer_viewer.reconstruct.registration.drift_pool import with_pooled_drift
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
-from wafer_viewer.reconstruct.registration.pair_registration import register
+from wafer_viewer.reconstruct.registration.pair_registration import register, with_pooled_drift
 
 MIDDLING = replace(Grid(), rows=4, cols=4)
 CASES: dict[str, dict[str, Any]] = {

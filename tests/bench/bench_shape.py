@@ -18,9 +18,9 @@ import numpy as np
 from tests.bench.harness import met, percent, read_options, show, took
 from tests.support.bumped_surface import bumped
 from tests.support.made_up_pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
-from wafer_viewer.measure.edges.circular_edges import find_circle
 from wafer_viewer.measure.edges.straight_edges import DieEdges, die_edges, find_edge, find_edge_in_any_direction
 from wafer_viewer.measure.tools.chipping import edge_depths
+from wafer_viewer.measure.tools.circle import find_circle
 from wafer_viewer.measure.tools.coplanarity import coplanarity
 from wafer_viewer.measure.tools.kerf import kerf_edges
 

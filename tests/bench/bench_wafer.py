@@ -26,8 +26,8 @@ from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date, compare_pairs, draw_patch, register_pairs
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.mosaic.layout import SHARD
 from wafer_viewer.store.mosaic.zarr_mosaic import patches
+from wafer_viewer.store.mosaic.zarr_shards import SHARD
 
 WAFER_UM = 300_000.0
 RUNS = 3

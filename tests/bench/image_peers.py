@@ -22,7 +22,7 @@ from tests.bench.harness import read_options, took
 from tests.support.made_up_pictures import disc, strip
 from wafer_viewer.measure.base.robust_fit import fit_line
 from wafer_viewer.measure.defects.features import ellipse_of
-from wafer_viewer.measure.edges.circular_edges import CIRCLE_SEARCH, Ring, find_circle, fit_ring
+from wafer_viewer.measure.tools.circle import CIRCLE_SEARCH, Ring, find_circle, fit_ring
 from wafer_viewer.numerics.filters.regions import (
     component_sizes,
     dilated,

@@ -19,8 +19,7 @@ import zarr
 from zarr.codecs import BytesCodec, ShardingCodec
 
 from tests.bench.harness import read_options, show, took
-from wafer_viewer.store.mosaic.layout import CHUNK, SHARD
-from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, Shards, codecs
+from wafer_viewer.store.mosaic.zarr_shards import CHUNK, SHARD, ShardedArray, Shards, codecs
 
 RUNS, WINDOWS = 5, 40
 CHUNK_PX, SHARD_PX, WINDOW_PX = CHUNK, SHARD, 700

@@ -23,8 +23,8 @@ from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.seen_session import SeenSession
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.guided_tour import TOUR_LOT
-from wafer_viewer.session.state.calibration_state import CalibrationState
 from wafer_viewer.session.state.inspection_state import GaugeState, InspectionState
+from wafer_viewer.session.state.instrument_state import CalibrationState
 from wafer_viewer.session.state.snapshot import Snapshot
 
 DIALOG = ".mantine-Modal-content:has(.wv-away)"

@@ -23,7 +23,7 @@ from tests.browser.steps import (
     type_into,
 )
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.records.gauge_records import signed_checks
+from wafer_viewer.store.records.calibration_records import signed_checks
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 SCANS = ("scan-1", "scan-2", "scan-3")

@@ -21,7 +21,7 @@ from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.sessions.stitched_session import GrowingSession, StitchedSession
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.job import SavedView
-from wafer_viewer.session.files.documents import Documents as TruePapers
+from wafer_viewer.session.files.file_jobs import Documents as TruePapers
 from wafer_viewer.session.session import Session
 
 STAND_INS: dict[str, Callable[[], Any]] = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from wafer_viewer.calibrate.edge_response import edge_response
+from wafer_viewer.calibrate.topography import edge_response
 from wafer_viewer.model.errors import MeasureError
 
 PIXEL_UM = 0.5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.wave_renderer import PIXEL_UM, WaveRenderer
-from wafer_viewer.calibrate.frame_displacement import displacement_px
+from wafer_viewer.calibrate.image_geometry import displacement_px
 
 
 @pytest.mark.parametrize("moved_um", [112.3 + 0.4j, -60.1 - 50.2j, 3.05 + 84.0j])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.wave_renderer import PIXEL_UM, WaveRenderer
-from wafer_viewer.calibrate.mapping_deviation import grid_px, mapping_deviation, patch_position_px
+from wafer_viewer.calibrate.image_geometry import grid_px, mapping_deviation, patch_position_px
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.stage import LATERAL_ERROR_UM, LATERAL_WAVES_UM, ScaleError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.calibrate.pixel_scale import StageLine, pixel_scale
+from wafer_viewer.calibrate.image_geometry import StageLine, pixel_scale
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.stage import LATERAL_ERROR_UM, LATERAL_WAVES_UM, ScaleError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.calibrate.pixel_scale import Estimate
+from wafer_viewer.calibrate.image_geometry import Estimate
 from wafer_viewer.calibrate.topography import StepPair, flatness_deviation_um, measurement_noise_um, scale_response
 from wafer_viewer.model.errors import MeasureError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, certificate, repeats, signed
-from wafer_viewer.calibrate.z_scale import scale_correction
+from wafer_viewer.calibrate.topography import scale_correction
 from wafer_viewer.measure.gauge.gauge_check import gauge_check, refusal
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.errors import MeasureError

@@ -12,7 +12,7 @@ from tests.support.paths import ASSETS
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.characteristics import KINDS
 from wafer_viewer.session.acquisition import headless
-from wafer_viewer.store.records.gauge_records import calibration_in_force, sign
+from wafer_viewer.store.records.calibration_records import calibration_in_force, sign
 
 RIG = str(ASSETS / "rigs" / "uncalibrated.toml")
 QUICK = ("--repeats", "2", "--exposure-us", "125", "--z-range-um", "60")

@@ -12,11 +12,10 @@ from tests.support.paths import ASSETS
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.calibration.records import calibration_rows
+from wafer_viewer.session.calibration.calibration_controller import calibration_rows
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import write_npz
-from wafer_viewer.store.records.calibration_records import calibration_records
-from wafer_viewer.store.records.gauge_records import GAUGE_LOG, calibration_in_force, sign
+from wafer_viewer.store.records.calibration_records import GAUGE_LOG, calibration_in_force, calibration_records, sign
 
 CERTIFICATE = ASSETS / "gauge" / "step.toml"
 CHECK = ("--certificate", str(CERTIFICATE), "--field", "1", *CORNERS)

@@ -17,7 +17,7 @@ from tests.support.compared_surfaces import taken, tilted
 from tests.support.surfaces import STEP_UM, gauge_blocks
 from wafer_viewer.cli.app import main
 from wafer_viewer.gui.gauge.gauge_panel import FaceFinder
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.numerics.open3d_library import load_open3d

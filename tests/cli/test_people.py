@@ -7,8 +7,8 @@ import pytest
 from tests.support.datasets.judged_datasets import released_job
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.spec import encode, replace
-from wafer_viewer.session.core.signing_in import NEW_PASSWORD_VARIABLE, PASSWORD_VARIABLE
-from wafer_viewer.store.records.audit_log import recorded_actions
+from wafer_viewer.session.core.people import NEW_PASSWORD_VARIABLE, PASSWORD_VARIABLE
+from wafer_viewer.store.records.signed_log import recorded_actions
 
 pytestmark = pytest.mark.usefixtures("quick_passwords")
 ANN, OLGA = "ann's long password", "olga's long password"

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.datasets.judged_datasets import STEP, judged_dataset, released_job
 from wafer_viewer.cli.app import main
-from wafer_viewer.measure.gauge.gauge_rr import gauge_rr, repeats_of
+from wafer_viewer.measure.gauge.gauge_studies import gauge_rr, repeats_of
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.session.gauge.repeat_scans import studies_of

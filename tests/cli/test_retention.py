@@ -11,16 +11,15 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import datasets_in, save_summary, summarise
-from wafer_viewer.session.core.people import add_person
-from wafer_viewer.session.core.signing_in import PASSWORD_VARIABLE
+from wafer_viewer.session.core.people import PASSWORD_VARIABLE, add_person
 from wafer_viewer.session.planning.verdicts import verdict_of
 from wafer_viewer.store.dataset import writer as writer_module
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.retention import remove_frames
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
-from wafer_viewer.store.records.audit_log import recorded_actions
 from wafer_viewer.store.records.manifest import sign_result
+from wafer_viewer.store.records.signed_log import recorded_actions
 
 
 def judged(path, height_um):

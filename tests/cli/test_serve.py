@@ -12,8 +12,7 @@ import pytest
 
 from wafer_viewer.cli.app import main
 from wafer_viewer.session.core import network_access
-from wafer_viewer.session.core.page_password import stored_password
-from wafer_viewer.session.core.page_token import page_token
+from wafer_viewer.session.core.private_file import page_token, stored_password
 
 GOOD = "correct horse battery"
 

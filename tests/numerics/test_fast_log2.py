@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.intrinsics import quick_log2
-from wafer_viewer.numerics.jit import bare_kernel
+from wafer_viewer.numerics.jit import bare_kernel, quick_log2
 
 
 @bare_kernel

@@ -19,7 +19,7 @@ from wafer_viewer.model.surface.frame_health import FrameHealth
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe
-from wafer_viewer.reconstruct.focus.level_noise import level_noise
+from wafer_viewer.reconstruct.focus.peak import level_noise
 from wafer_viewer.reconstruct.height_uncertainty import TEXTURE_SHARE, uncertainty_um, window_variance_px2
 from wafer_viewer.reconstruct.live_field import LiveField
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.acquire.axis_reference import reference_axes
+from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 from wafer_viewer.rigs.virtual.serial_port import Interference

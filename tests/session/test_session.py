@@ -14,7 +14,7 @@ import pytest
 from distributed import LocalCluster, Security
 
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError, RigError, WaferViewerError
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.session import Session

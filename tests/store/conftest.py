@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.datasets.samples import Source, make_surface
-from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 
@@ -13,9 +13,9 @@ from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 def small_shards():
     """Shards of 64 pixels, so that a small surface has many of them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(layout, "SHARD", 64)
-        patch.setattr(layout, "CHUNK", 16)
-        patch.setattr(layout, "COARSEST_PX", 40)
+        patch.setattr(zarr_shards, "SHARD", 64)
+        patch.setattr(zarr_shards, "CHUNK", 16)
+        patch.setattr(zarr_shards, "COARSEST_PX", 40)
         yield
 
 

@@ -23,8 +23,7 @@ from wafer_viewer.store.dataset.integrity import KINDS
 from wafer_viewer.store.dataset.lock import Holder, Lock, holder_of
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io import file_lock
-from wafer_viewer.store.io.file_lock import is_locked, locked, try_lock
-from wafer_viewer.store.io.process_identity import Process, this_process
+from wafer_viewer.store.io.file_lock import Process, is_locked, locked, this_process, try_lock
 from wafer_viewer.store.records.signed_log import append_record, read_log
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)

@@ -174,7 +174,7 @@ def test_a_golden_die_has_a_plain_name(tmp_path: Path, name: str) -> None:
 def test_a_text_of_settings_is_no_program(tmp_path: Path, kind: str) -> None:
     from wafer_viewer.cli.parser import read_recipe
     from wafer_viewer.session.planning.job_releases import read_job
-    from wafer_viewer.store.records.gauge_records import read_certificate
+    from wafer_viewer.store.records.calibration_records import read_certificate
 
     mark, path = tmp_path / "executed", tmp_path / "settings.toml"
     path.write_text(f"product = \"{{__import__('os').system('touch {mark}')}}\"\nx = \"$(touch {mark})\"\n")

@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from tests.support.plans import plan_without_motion
-from wafer_viewer.model.acquisition.flat_field import FlatField
+from wafer_viewer.model.acquisition.calibration import FlatField
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.findings import MeasurementResults
@@ -31,7 +31,7 @@ from wafer_viewer.store.dataset.scan_record import Line, ScanRecord
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io import format_version
 from wafer_viewer.store.io.format_version import SCHEMA
-from wafer_viewer.store.mosaic.layout import MosaicHeader
+from wafer_viewer.store.mosaic.zarr_shards import MosaicHeader
 from wafer_viewer.store.records.manifest import Manifest
 
 RECORDED = Path(__file__).with_name("schemas.json")

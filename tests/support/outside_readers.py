@@ -25,7 +25,7 @@ from tests.support.paths import ASSETS
 from wafer_viewer.cli.parser import read_recipe
 from wafer_viewer.gui.incoming import read_message
 from wafer_viewer.gui.page.browser_info import read_info
-from wafer_viewer.gui.state import browser_storage
+from wafer_viewer.gui.state import view_state
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.html import read_picks
 from wafer_viewer.model.acquisition.sample import Sample
@@ -49,7 +49,7 @@ from wafer_viewer.store.formats.npz_file import read_npz
 from wafer_viewer.store.formats.readers import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses, write_planes
 from wafer_viewer.store.mosaic.statistics import load_statistics
-from wafer_viewer.store.records.gauge_records import (
+from wafer_viewer.store.records.calibration_records import (
     CalibrationChange,
     calibration_changes,
     read_certificate,
@@ -287,8 +287,8 @@ def _browsers(folder: Path) -> list[OutsideReader]:
     texts = {
         "report": ('{"system":"Linux","left":[300,false],"window":1200,"scene":[900,700],"at_ms":12.5}', read_info),
         "picks": ('[[1,"file-mark","3:1,2",0],[2,"file-open","3:1",0]]', partial(read_picks, after=0)),
-        "view": (browser_storage.write(View(), "scan"), browser_storage.read),
-        "identity": ('{"key":"abc","name":"Firefox","layout":{"left_px":300}}', browser_storage.read_self),
+        "view": (view_state.write(View(), "scan"), view_state.read),
+        "identity": ('{"key":"abc","name":"Firefox","layout":{"left_px":300}}', view_state.read_self),
     }
     for name, (text, read) in texts.items():
         path = folder / f"{name}.text"

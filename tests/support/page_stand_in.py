@@ -12,9 +12,9 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.session.rendering.render_dispatch import paint
-from wafer_viewer.session.rendering.render_refused import PlacedField
+from wafer_viewer.session.rendering.render_pictures import paint
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
+from wafer_viewer.session.rendering.surface_source import PlacedField
 from wafer_viewer.session.state.snapshot import FieldState, LatestFrame, OpenDataset, RigStatus, Snapshot, SurfaceInfo
 
 PIXEL_UM = 0.46729

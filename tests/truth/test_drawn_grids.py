@@ -10,9 +10,9 @@ import pytest
 from tests.bench.bench_grids import judged, limit_px
 from tests.support.campaigns import drawn_after
 from tests.truth.drawn_grids import PIXEL_UM, drawn, made, narrowed, planted
-from wafer_viewer.reconstruct.registration.misfit_search import search_misfits
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import register_pair
+from wafer_viewer.reconstruct.registration.swap_search import search_misfits
 
 pytestmark = pytest.mark.slow
 SEEDS = {"dies": (3, 4, 9, 19, 63, 123), "dusty dies": (5, 17, 193), "lines": (2, 6, 102), "random": (11,)}

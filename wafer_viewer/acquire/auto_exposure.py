@@ -15,10 +15,9 @@ import numpy as np
 from wafer_viewer.acquire.commanded_frames import commanded_frames, frames_at_places
 from wafer_viewer.acquire.motion import device_errors, move
 from wafer_viewer.model.acquisition.devices import Rig
-from wafer_viewer.model.acquisition.exposure import ExposureLevels, FoundExposure
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep
-from wafer_viewer.model.acquisition.procedure import ProcedureControl, ProcedureStep
+from wafer_viewer.model.acquisition.procedure import ExposureLevels, FoundExposure, ProcedureControl, ProcedureStep
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits, RigLimits
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.progress import ShouldStop

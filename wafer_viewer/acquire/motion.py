@@ -1,14 +1,20 @@
-"""Motions of the stage with a deadline; an axis that does not arrive in time is stopped and reported."""
+"""Motions with a deadline: of the stage, by hand, and of positioners, with the objective clear of the sample."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+import math
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from wafer_viewer.model.acquisition.devices import Position, Rig
 from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.positioners import Positioner, PositionerReading, PositionerState, read_position
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
+
+# --------------------------------------------------------------------------------------------------------------- motion
+
 
 SPARE_FRACTION = 0.5
 """Margin of the deadline of a motion for slow drivers, as a fraction of its expected duration."""
@@ -156,3 +162,196 @@ def device_errors(device: str, kind: type[Exception] = Exception) -> Generator[N
 def _homing_s(rig: Rig, axis: Axis) -> float:
     limits = rig.limits.axis(axis)
     return (limits.high_um - limits.low_um) / (limits.speed_um_s * HOMING_SPEED_FRACTION)
+
+
+# ---------------------------------------------------------------------------------------------------------- positioning
+
+
+def move_positioner(rig: Rig, name: str, to: float | str, should_stop: ShouldStop) -> PositionerReading:
+    """Move a positioner and wait until it has settled.
+
+    Parameters
+    ----------
+    rig : Rig
+        Rig whose stage is at rest.
+    name : str
+        Name of the positioner.
+    to : float or str
+        A position in the unit of its role, or the name of one.
+    should_stop : ShouldStop
+        Polled during the motions.
+
+    Returns
+    -------
+    PositionerReading
+        Position that it reports after the motion.
+
+    Raises
+    ------
+    RigError
+        If there is no such positioner or position; nothing has moved then. If a device fails.
+    MotionStopped
+        If stopped.
+    RigTimeout
+        If it does not arrive in time.
+    """
+    positioner = positioner_of(rig, name)
+    goal = positioner.limits.goal(name, to)
+    with device_errors(f"positioner '{name}'"):
+        if positioner.limits.descriptor.lifts_z and not _is_there(positioner, goal):
+            lift_z(rig, positioner, should_stop)
+        positioner.move_to(goal, should_stop)
+        return read_position(name, positioner)
+
+
+def positioner_of(rig: Rig, name: str) -> Positioner:
+    """Return a positioner by its name. Raises RigError if the rig has none of that name."""
+    if name not in rig.positioners:
+        names = ", ".join(rig.positioners) or "none"
+        raise RigError(f"The rig has no positioner '{name}': it has {names}. They are named in the rig's file.")
+    return rig.positioners[name]
+
+
+def lift_z(rig: Rig, positioner: Positioner, should_stop: ShouldStop) -> None:
+    """Move z up to where the objective, and any other on the nosepiece, clears the sample; never down."""
+    with device_errors("stage"):
+        safe_um = rig.limits.objective.safe_z_um
+        if (own_um := positioner.limits.lift_z_um) is not None:
+            safe_um = max(safe_um, own_um)
+        safe_um = min(safe_um, rig.limits.z.high_um)
+        if not rig.stage.homed() or rig.stage.position().z_um < safe_um:
+            move(rig, {"z": safe_um}, should_stop)
+
+
+def _is_there(positioner: Positioner, goal: float) -> bool:
+    named = positioner.limits.name_at(goal)
+    if not positioner.homed():
+        return False
+    here = positioner.position()
+    return here == goal or (named != "" and positioner.limits.name_at(here) == named)
+
+
+def read_positioners(rig: Rig) -> tuple[PositionerState, ...]:
+    """Return all positioners with their positions. Raises RigError if one does not answer."""
+    states: list[PositionerState] = []
+    for name, positioner in rig.positioners.items():
+        with device_errors(f"positioner '{name}'"):
+            states.append(PositionerState(positioner.limits, read_position(name, positioner)))
+    return tuple(states)
+
+
+# ----------------------------------------------------------------------------------------------------------- hand drive
+
+
+@dataclass(frozen=True, slots=True)
+class JogVelocity:
+    """Velocity of each axis in um/s, signed; zero on all axes means rest."""
+
+    x_um_s: float = 0.0
+    y_um_s: float = 0.0
+    z_um_s: float = 0.0
+
+    @property
+    def at_rest(self) -> bool:
+        """True if no axis is to move."""
+        return self == REST
+
+    def axes(self) -> dict[Axis, float]:
+        """Return the velocities of the moving axes, um/s."""
+        by_axis: dict[Axis, float] = {"x": self.x_um_s, "y": self.y_um_s, "z": self.z_um_s}
+        return {axis: um_s for axis, um_s in by_axis.items() if um_s}
+
+
+REST = JogVelocity()
+
+
+def jog(rig: Rig, wanted: Callable[[], JogVelocity], highest_um: float | None, meanwhile: Callable[[], None]) -> None:
+    """Move at the wanted velocity until it is zero; the stage is at rest afterwards, whatever happens.
+
+    Parameters
+    ----------
+    rig : Rig
+        Rig whose stage is at rest.
+    wanted : callable
+        Returns the wanted velocity; polled between the calls of `meanwhile`.
+    highest_um : float or None
+        Highest known z of the sample; z ends where the objective has its clearance above it.
+    meanwhile : callable
+        Called during the motion; returns within the time in which a stop must act.
+
+    Raises
+    ------
+    RigError
+        If a device fails or an axis is not homed.
+    """
+    try:
+        while not (velocity := wanted()).at_rest:
+            with device_errors("stage"):
+                _start(rig, velocity, highest_um)
+            while wanted() == velocity:
+                meanwhile()
+            with device_errors("stage"):
+                come_to_rest(rig)
+    except BaseException:
+        with device_errors("stage"):
+            come_to_rest(rig)
+        raise
+
+
+def _start(rig: Rig, velocity: JogVelocity, highest_um: float | None) -> None:
+    """Start every axis towards the end of its range, within its speed."""
+    here = rig.stage.position()
+    for axis, um_s in velocity.axes().items():
+        limits = rig.limits.axis(axis)
+        low_um = rig.limits.lowest_z_um(highest_um) if axis == "z" else limits.low_um
+        end_um = limits.high_um if um_s > 0 else low_um
+        if (end_um - at_um(here, axis)) * um_s > ARRIVED_WITHIN_UM * abs(um_s):
+            rig.stage.start(axis, end_um, min(abs(um_s), limits.speed_um_s))
+
+
+def drive(rig: Rig, goal_um: Mapping[Axis, float], highest_um: float | None, should_stop: ShouldStop) -> None:
+    """Move to a position; farther than a field away over the safe z, then down to z.
+
+    Parameters
+    ----------
+    rig : Rig
+        Rig whose stage is at rest.
+    goal_um : mapping of axis to um
+        Position of the named axes; the others end where they are.
+    highest_um : float or None
+        Highest known z of the sample, which the objective stays clear of.
+    should_stop : ShouldStop
+        Polled during the moves.
+
+    Raises
+    ------
+    RigError
+        If a position is out of range or too near to the sample; nothing has moved then. MotionStopped if stopped.
+    """
+    with device_errors("stage"):
+        here = rig.stage.position()
+        require_clear(rig, goal_um.get("z"), highest_um)
+        across: dict[Axis, float] = {axis: um for axis, um in goal_um.items() if axis != "z"}
+        way_um = math.hypot(*(um - at_um(here, axis) for axis, um in across.items()))
+        safe_um = min(rig.limits.objective.safe_z_um, rig.limits.z.high_um)
+        if way_um <= max(rig.limits.field_width_um, rig.limits.field_height_um):
+            move(rig, goal_um, should_stop)
+            return
+        for axis, um in across.items():
+            rig.limits.axis(axis).require_reachable(axis, um)
+        down_um = goal_um.get("z", max(here.z_um, rig.limits.lowest_z_um(highest_um)))
+        move(rig, {"z": max(here.z_um, safe_um)}, should_stop)
+        move(rig, across, should_stop)
+        move(rig, {"z": down_um}, should_stop)
+
+
+def require_clear(rig: Rig, z_um: float | None, highest_um: float | None) -> None:
+    """Raise RigError if the objective would come nearer to the highest known point than its clearance."""
+    if z_um is None:
+        return
+    rig.limits.z.require_reachable("z", z_um)
+    if highest_um is not None and z_um < (lowest_um := rig.limits.lowest_z_um(highest_um)):
+        raise RigError(
+            f"z cannot go to {z_um:.1f} um: it stops at {lowest_um:.1f} um, where the objective is "
+            f"{rig.limits.objective.clearance_um:g} um over the highest known point of the sample, {highest_um:.1f} um."
+        )

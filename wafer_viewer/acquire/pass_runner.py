@@ -6,9 +6,15 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.axis_reference import COUNT_TOLERANCE, stage_count
 from wafer_viewer.acquire.motion import Deadline, await_arrival, come_to_rest, device_errors, move
-from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Pairing, Reconciler, Timing
+from wafer_viewer.acquire.pulse_reconciliation import (
+    COUNT_TOLERANCE,
+    DeviceClock,
+    Pairing,
+    Reconciler,
+    Timing,
+    stage_count,
+)
 from wafer_viewer.model.acquisition.devices import CameraImage, ExposureSequencer, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain

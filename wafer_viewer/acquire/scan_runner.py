@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.axis_reference import COUNT_TOLERANCE, marked_axes, reference_axes
 from wafer_viewer.acquire.pass_runner import PassResult, PassSettings, device_clock, rig_at_rest, run_pass
-from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, MissingFrame
+from wafer_viewer.acquire.pulse_reconciliation import (
+    COUNT_TOLERANCE,
+    DeviceClock,
+    MissingFrame,
+    marked_axes,
+    reference_axes,
+)
 from wafer_viewer.model.acquisition.devices import Rig, ScanControl, ScanSink
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot

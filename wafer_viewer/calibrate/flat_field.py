@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.calibrate.pixel_scale import Estimate
-from wafer_viewer.model.acquisition.flat_field import FlatField
+from wafer_viewer.calibrate.image_geometry import Estimate
+from wafer_viewer.model.acquisition.calibration import FlatField
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.numerics.normal_statistics import u_of_mean
 

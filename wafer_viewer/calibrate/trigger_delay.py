@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.calibrate.pixel_scale import Estimate
+from wafer_viewer.calibrate.image_geometry import Estimate
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.numerics.normal_statistics import student

@@ -112,7 +112,7 @@ def serve(
     from wafer_viewer.compute.child_process import return_what_is_freed
     from wafer_viewer.gui.app import serve as serve_page
     from wafer_viewer.session.core.network_access import NetworkOptions, network_access
-    from wafer_viewer.session.core.page_token import page_token
+    from wafer_viewer.session.core.private_file import page_token
     from wafer_viewer.session.session import Session
 
     if not 0 <= port <= LAST_PORT:
@@ -246,7 +246,7 @@ def scan(
         yes: Start although something is not as it should be, as long as nothing forbids the scan.
     """
     from wafer_viewer.session.acquisition.headless import scan_to
-    from wafer_viewer.session.core.signing_in import acting_person, name_of, role_of
+    from wafer_viewer.session.core.people import acting_person, name_of, role_of
     from wafer_viewer.session.planning.headless import job_of_wafer
     from wafer_viewer.session.planning.job_releases import require_released
     from wafer_viewer.session.planning.preflight import require_passed
@@ -467,8 +467,7 @@ def conformance(
     """
     if verify is not None:
         return _verified(verify, key or "", data.expanduser())
-    from wafer_viewer.session.acquisition.conformance import check_conformance
-    from wafer_viewer.session.acquisition.headless import interrupt_stops
+    from wafer_viewer.session.acquisition.headless import check_conformance, interrupt_stops
     from wafer_viewer.store.records.conformance_reports import report_paths
 
     if out is not None:
@@ -549,7 +548,7 @@ def release(
         reason: What the job is for, or what changed, for the audit log; needed where people are listed.
         dry_run: Only say what would change; release nothing.
     """
-    from wafer_viewer.session.core.signing_in import acting_person, name_of, require_reason
+    from wafer_viewer.session.core.people import acting_person, name_of, require_reason
     from wafer_viewer.session.planning.headless import job_to_release, tried
     from wafer_viewer.session.planning.job_releases import write_released
 

@@ -35,8 +35,10 @@ COMMANDS: dict[str, CommandEntry] = {
     "measure dies": CommandEntry(
         "defects", "the lattice of the dies, and which are whole, cut, not scanned or missing"
     ),
-    "measure gauge": CommandEntry("gauge", "check the instrument against certified gauge blocks; history of checks"),
-    "measure rr": CommandEntry("gauge", "repeatability and reproducibility of repeated measurements"),
+    "measure gauge": CommandEntry(
+        "calibration", "check the instrument against certified gauge blocks; history of checks"
+    ),
+    "measure rr": CommandEntry("calibration", "repeatability and reproducibility of repeated measurements"),
     "measure defects": CommandEntry(
         "defects", "the defects of a patterned wafer, with a status by limits for each die"
     ),
@@ -48,7 +50,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "calibrate flatness": CommandEntry("calibration", "measure the flatness deviation at several places of a flat"),
     "calibrate mapping": CommandEntry("calibration", "measure the distortion of the image against the stage"),
     "calibrate resolution": CommandEntry("calibration", "measure the width of the response to a step edge"),
-    "calibrate z": CommandEntry("gauge", "set the z scale by a signed check against gauge blocks"),
+    "calibrate z": CommandEntry("calibration", "set the z scale by a signed check against gauge blocks"),
     "calibrate linearity": CommandEntry("calibration", "amplification and linearity of z from signed checks"),
     "calibrate list": CommandEntry("calibration", "the calibrations with U, date and due day"),
     "compare": CommandEntry("surface", "the second of two surfaces minus the first, aligned before"),
@@ -57,12 +59,12 @@ COMMANDS: dict[str, CommandEntry] = {
     "check": CommandEntry("acquisition", "test every checksum of a dataset and name missing frames"),
     "find": CommandEntry("upkeep", "find datasets by lot, wafer, product, verdict, date or name"),
     "log": CommandEntry("upkeep", "who scanned, released, changed, judged and signed what"),
-    "tidy": CommandEntry("retention", "remove the frames of accepted datasets that are old enough; records stay"),
-    "hold": CommandEntry("retention", "keep the frames of a dataset, however old they are"),
-    "unhold": CommandEntry("retention", "end a hold"),
-    "people add": CommandEntry("people", "list a person who may sign in, as operator or engineer"),
-    "people remove": CommandEntry("people", "remove a person from the list"),
-    "people list": CommandEntry("people", "who may sign in, and in which role"),
+    "tidy": CommandEntry("upkeep", "remove the frames of accepted datasets that are old enough; records stay"),
+    "hold": CommandEntry("upkeep", "keep the frames of a dataset, however old they are"),
+    "unhold": CommandEntry("upkeep", "end a hold"),
+    "people add": CommandEntry("upkeep", "list a person who may sign in, as operator or engineer"),
+    "people remove": CommandEntry("upkeep", "remove a person from the list"),
+    "people list": CommandEntry("upkeep", "who may sign in, and in which role"),
     "compress": CommandEntry("acquisition", "make the frames of a dataset smaller without loss, or undo it"),
     "cluster": CommandEntry("acquisition", "make what several machines need to work together"),
     "convert": CommandEntry("surface", "write a surface in another format"),

@@ -15,13 +15,10 @@ from tyro.conf import arg
 from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection
-from wafer_viewer.model.inspection.defect_verdict import verdict_of
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, verdict_of
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection.die_lattice_source import GivenDies
-from wafer_viewer.session.inspection.headless import Wafer, dies_on, inspected, wafer_of
-from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover
-from wafer_viewer.session.inspection.klarf_overlay import compared, overlay_klarf
+from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover, compared, overlay_klarf
+from wafer_viewer.session.inspection.inspection_job import GivenDies, Wafer, dies_on, inspected, wafer_of
 from wafer_viewer.session.state.inspection_state import product_of
 from wafer_viewer.session.surface.headless import LocalOrCluster
 

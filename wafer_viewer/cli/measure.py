@@ -181,7 +181,7 @@ def measure_profile(
         points: Also print the points of each section.
         out: Also write all curves to this file, .csv a table, .png, .pdf or .svg a figure for print.
     """
-    from wafer_viewer.session.measurement.sections import require_section_format, write_sections
+    from wafer_viewer.session.measurement.dataset_queries import require_section_format, write_sections
 
     if out is not None:
         require_section_format(out.suffix)
@@ -227,7 +227,7 @@ def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, w
 def _cut(requests: Sequence[SectionRequest], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
     """Return the sections along all lines, with their common levelling."""
     from wafer_viewer.measure.base.levelled_surface import levelled
-    from wafer_viewer.session.measurement.sections import cut
+    from wafer_viewer.session.measurement.dataset_queries import cut
 
     from_zero = levelled(surface, requests[0].levelling)
     return [cut(one, from_zero, calibrated, source) for one in requests]

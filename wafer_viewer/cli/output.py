@@ -23,15 +23,15 @@ from wafer_viewer.store.io.atomic_files import size
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from wafer_viewer.acquire.conformance.check import ConformanceCheck
-    from wafer_viewer.acquire.focus.at_place import FocusedPlace
+    from wafer_viewer.acquire.conformance.bench import ConformanceCheck
+    from wafer_viewer.acquire.focus.search import FocusedPlace
     from wafer_viewer.model.acquisition.conformance import ConformanceReport, ConformanceResult
     from wafer_viewer.model.acquisition.devices import Rig
-    from wafer_viewer.model.acquisition.exposure import FoundExposure
     from wafer_viewer.model.acquisition.positioners import PositionerState
-    from wafer_viewer.model.audit import Action, AuditEntry
+    from wafer_viewer.model.acquisition.procedure import FoundExposure
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
+    from wafer_viewer.model.roles import Action, AuditEntry
     from wafer_viewer.session.core.environment_check import EnvironmentCheck
     from wafer_viewer.session.planning.preflight import PreflightCheck
     from wafer_viewer.session.session import Session

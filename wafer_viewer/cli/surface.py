@@ -200,7 +200,7 @@ def fields(dataset: DatasetFolder, out: NewFile, result: str = "default") -> Non
         out: The folder to write, NAME.ome.zarr; images of two channels, picture and heights in um.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.surface.field_export import write_fields
+    from wafer_viewer.session.surface.worker_tasks import write_fields
 
     with progress("Writing the fields") as tell:
         print(write_fields(dataset, out, result, tell))

@@ -1,15 +1,243 @@
-"""Commands of upkeep: the audit log, the state of the machine, a file for support, the glossary.
+"""Commands of upkeep: audit log, people, old frames, state of the machine, a file for support, the glossary.
+
+The signature of a command defines its flags, its docstring is its help.
+
+The signature of a command defines its flags, its docstring is its help.
 
 The signature of a command defines its flags, its docstring is its help.
 """
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from wafer_viewer.cli.arguments import DATA_FOLDER, File, Folder, OutFile, Text, Word, Words, config_of
-from wafer_viewer.cli.output import print_audit, print_checks, print_datasets, print_json, print_lines, progress, warn
+from tyro.conf import Positional, arg
+
+from wafer_viewer.cli.arguments import (
+    DATA_FOLDER,
+    Count,
+    DatasetFolder,
+    File,
+    Folder,
+    OutFile,
+    Text,
+    Word,
+    Words,
+    config_of,
+)
+from wafer_viewer.cli.output import (
+    audit,
+    print_audit,
+    print_checks,
+    print_datasets,
+    print_json,
+    print_lines,
+    progress,
+    warn,
+)
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.roles import Role
+from wafer_viewer.store.io.atomic_files import size
+
+# ------------------------------------------------------------------------------------------------------------ retention
+
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from wafer_viewer.model.roles import Action
+    from wafer_viewer.session.files.old_frames import OldFrames
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.scan_record import RetentionLine
+
+    LineOf = Callable[[Dataset, str, str], RetentionLine]
+
+
+def tidy(
+    folder: Folder,
+    days: Count = None,
+    dry_run: bool = False,
+    yes: bool = False,
+    by: Text = None,
+    reason: str = "",
+) -> int:
+    """Remove the frames of datasets with the verdict pass that are old enough; asks before. Status 1 if there are none.
+
+    Held datasets are never touched. Records, journals, surfaces, results and verdicts stay, and check says who removed
+    the frames and when. A removal that was broken off is finished by the next one.
+
+    Args:
+        folder: A data folder.
+        days: Days after the scan; as frames_days in retention.toml of the folder says by default, and never without it.
+        dry_run: Only list the datasets with the sizes of their frames.
+        yes: Do not ask.
+        by: Engineer who removes them, where people are listed; the account without it.
+        reason: Reason, for the record; needed where people are listed.
+    """
+    from wafer_viewer.session.core.people import acting_person, name_of, require_reason
+    from wafer_viewer.session.files.old_frames import old_frames, rule_of
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.retention import remove_frames
+
+    rule = rule_of(folder, days)
+    found = old_frames(folder, rule)
+    if not found:
+        print(f"No frames in {folder} may be removed.")
+        return 1
+    print_lines(_lines(found))
+    if dry_run:
+        return 0
+    person = acting_person(folder, "Frames removed", by)
+    require_reason(person, reason)
+    _confirm(found, yes)
+    why = " ".join(reason.split())
+    for old in found:
+        with progress(old.path.name) as tell:
+            freed = remove_frames(Dataset.open(old.path), name_of(person, by), rule.frames_days or 0, why, tell)
+        detail = f"{size(freed)} freed" + (f", why: {why}" if why else "")
+        audit(folder, "Frames removed", old.path.name, detail, by=name_of(person, by))
+    print(f"{size(sum(old.n_bytes for old in found))} freed.")
+    return 0
+
+
+def hold(dataset: DatasetFolder, reason: str, by: Text = None) -> None:
+    """Keep the frames of a dataset, however old they are.
+
+    Args:
+        dataset: The dataset.
+        reason: Reason, which is recorded.
+        by: Who holds it, where people are listed; the account without it.
+    """
+    from wafer_viewer.store.dataset.retention import hold_line
+
+    _change(dataset, "Frames held", reason, by, hold_line)
+    print(f"{dataset.name} is held.")
+
+
+def unhold(dataset: DatasetFolder, reason: str, by: Text = None) -> None:
+    """End the hold of a dataset.
+
+    Args:
+        dataset: The dataset.
+        reason: Reason, which is recorded.
+        by: Engineer who ends it, where people are listed; the account without it.
+    """
+    from wafer_viewer.store.dataset.retention import hold_end_line
+
+    _change(dataset, "Hold ended", reason, by, hold_end_line)
+    print(f"{dataset.name} is no longer held.")
+
+
+def _change(dataset: Path, action: Action, reason: str, by: str | None, line_of: LineOf) -> None:
+    from wafer_viewer.session.core.people import acting_person, name_of
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.lock import Lock
+    from wafer_viewer.store.dataset.retention import append_line
+
+    data, folder = Dataset.open(dataset), dataset.absolute().parent
+    name = name_of(acting_person(folder, action, by), by)
+    lock = Lock.take(dataset)
+    try:
+        data.refresh()
+        append_line(data, line_of(data, name, reason))
+    finally:
+        lock.release()
+    audit(folder, action, dataset.name, f"why: {' '.join(reason.split())}", by=name)
+
+
+def _lines(found: Sequence[OldFrames]) -> list[str]:
+    width = max(len(old.path.name) for old in found)
+    told = [
+        f"{old.path.name:<{width}}  {size(old.n_bytes):>9}  "
+        + ("removal was broken off" if old.begun else f"kept until {old.until}")
+        for old in found
+    ]
+    total = f"{len(found)} dataset{'s' if len(found) > 1 else ''}, {size(sum(old.n_bytes for old in found))}"
+    return [*told, total]
+
+
+def _confirm(found: Sequence[OldFrames], yes: bool) -> None:
+    """Ask whether the frames are to be removed. Raises DatasetError if not."""
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise DatasetError("Nothing was removed: there is no terminal to ask at, so give --yes.")
+    answer = input(f"Remove the frames of {len(found)} dataset{'s' if len(found) > 1 else ''}? Type yes: ")
+    if answer.strip().lower() != "yes":
+        raise DatasetError("Nothing was removed.")
+
+
+# --------------------------------------------------------------------------------------------------------------- people
+
+
+PersonName = Annotated[Positional[str], arg(metavar="NAME")]
+
+
+def people_add(name: PersonName, role: Role, data: Path = DATA_FOLDER, by: Text = None, reason: str = "") -> None:
+    """List a person who may sign in, or give one another role and password; the password is typed twice.
+
+    Without anybody listed, everyone at the station is an engineer. The first person must be one.
+
+    Args:
+        name: Name of the person, as it stands in the audit log.
+        role: operator runs released jobs; engineer may do everything.
+        data: Folder of the datasets.
+        by: Engineer who lists the person, once somebody is listed.
+        reason: Reason, for the audit log; needed once somebody is listed.
+    """
+    from wafer_viewer.session.core.people import acting_person, add_person, name_of, new_password, require_reason
+
+    folder = data.expanduser()
+    actor = acting_person(folder, "Person added", by)
+    require_reason(actor, reason)
+    person = add_person(folder, name, role, new_password(name))
+    audit(folder, "Person added", person.name, _detail(role, reason), by=name_of(actor, by))
+    print(f"{person.name} may sign in as {role}.")
+
+
+def people_remove(name: PersonName, data: Path = DATA_FOLDER, by: Text = None, reason: str = "") -> None:
+    """Remove a person; when the last one has gone, everyone at the station is an engineer again.
+
+    Args:
+        name: Name of the person.
+        data: Folder of the datasets.
+        by: Engineer who removes the person.
+        reason: Reason, for the audit log.
+    """
+    from wafer_viewer.session.core.people import acting_person, name_of, remove_person, require_reason
+
+    folder = data.expanduser()
+    actor = acting_person(folder, "Person removed", by)
+    require_reason(actor, reason)
+    remove_person(folder, name)
+    audit(folder, "Person removed", name, _detail("", reason), by=name_of(actor, by))
+    print(f"{name} may no longer sign in.")
+
+
+def people_list(data: Path = DATA_FOLDER) -> int:
+    """List who may sign in; status 1 when nobody is listed, and everyone at the station is an engineer.
+
+    Args:
+        data: Folder of the datasets.
+    """
+    from wafer_viewer.session.core.people import listed_people
+
+    people = listed_people(data.expanduser())
+    print_lines(f"{person.name}: {person.role}" for person in people)
+    if not people:
+        print("Nobody is listed: everyone at the station is an engineer.")
+    return 0 if people else 1
+
+
+def _detail(role: str, reason: str) -> str:
+    return ", ".join(f"{name}: {value}" for name, value in (("role", role), ("why", " ".join(reason.split()))) if value)
+
+
+# --------------------------------------------------------------------------------------------------------------- upkeep
 
 
 def find(folder: Folder, words: Words = (), json: bool = False) -> int:
@@ -37,7 +265,7 @@ def log(folder: Folder, of: Text = None, json: bool = False) -> int:
         of: Only what was done to this dataset or job.
         json: Print JSON instead of a table.
     """
-    from wafer_viewer.store.records.audit_log import recorded_actions
+    from wafer_viewer.store.records.signed_log import recorded_actions
 
     entries = recorded_actions(folder, of or "")
     print_json(entries) if json else print_audit(entries)

@@ -16,11 +16,11 @@ from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import VerdictSection, awaited
 from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
-from wafer_viewer.gui.plan.operator_view import unfold
+from wafer_viewer.gui.plan.align_section import unfold
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, command_button, in_a_row, leading, outlined, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.session.files.frame_check import damage_sentence
 from wafer_viewer.session.state.snapshot import LatestFrame, OpenDataset, ScanProgress, Snapshot

@@ -27,18 +27,18 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.uploads import refuse_upload
 from wafer_viewer.gui.security.server import close_server, connection_of, open_server
 from wafer_viewer.gui.shell.build_page import build_page
+from wafer_viewer.gui.widgets.callbacks import log
 from wafer_viewer.gui.widgets.controls import cache_prop_types
-from wafer_viewer.gui.widgets.error_guard import log
 from wafer_viewer.gui.widgets.html import quicken
 from wafer_viewer.gui.widgets.number_field import EMPTY
 from wafer_viewer.gui.widgets.style import read_static
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.network_access import NetworkAccess
-from wafer_viewer.session.files.documents import read_report
+from wafer_viewer.session.files.file_jobs import read_report
 from wafer_viewer.session.files.support_bundle import viewer_log
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.core.page_certificate import PageCertificate
+    from wafer_viewer.session.core.network_access import PageCertificate
     from wafer_viewer.session.session import Session
 
 with contextlib.suppress(ImportError):

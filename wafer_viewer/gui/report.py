@@ -15,11 +15,19 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, leading, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    Command,
+    HtmlBlock,
+    button,
+    in_a_row,
+    leading,
+    set_prop,
+    with_precondition,
+)
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
-from wafer_viewer.session.files.documents import REPORT, free_path, newest_report
+from wafer_viewer.session.files.file_jobs import REPORT, free_path, newest_report
 from wafer_viewer.session.state.snapshot import Snapshot
 
 UNKNOWN = Holds("…")

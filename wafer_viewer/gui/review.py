@@ -16,16 +16,16 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import awaited
 from wafer_viewer.gui.page.preconditions import no_defect, require_step
 from wafer_viewer.gui.presenters.defects import chosen_defect, classes
+from wafer_viewer.gui.presenters.results import ReviewItem
 from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, picture, progress, review_items
-from wafer_viewer.gui.presenters.review_item import ReviewItem
 from wafer_viewer.gui.presenters.verdict import waiting
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import Debouncer
-from wafer_viewer.gui.widgets.command import Command, with_precondition
+from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
+    Command,
     HtmlBlock,
     ToggleGroup,
     button,
@@ -34,11 +34,11 @@ from wafer_viewer.gui.widgets.controls import (
     in_a_row,
     leading,
     set_prop,
+    with_precondition,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.audit import Action
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.job import Verdict
+from wafer_viewer.model.roles import Action
 from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
 

@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.sample import Alignment, Marks, Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.feature import Dies, Feature
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.quantity import Quantity, Word
 from wafer_viewer.model.spec import Positive, Spec, Within
 from wafer_viewer.model.surface.recipe import Recipe

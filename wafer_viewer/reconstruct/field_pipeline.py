@@ -40,13 +40,10 @@ from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edge
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
-from wafer_viewer.reconstruct.height_uncertainty import uncertainty_um
-from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
-from wafer_viewer.reconstruct.preprocess.frame_gaps import add_gaps, frame_gaps, worst_gap_u_um
-from wafer_viewer.reconstruct.preprocess.frame_jitter import frame_jitter
-from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
-from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
-from wafer_viewer.reconstruct.z_jitter import jitter_effect_um
+from wafer_viewer.reconstruct.height_uncertainty import jitter_effect_um, uncertainty_um
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
+from wafer_viewer.reconstruct.preprocess.frame_jitter import add_gaps, frame_gaps, frame_jitter, worst_gap_u_um
+from wafer_viewer.reconstruct.preprocess.frames import Frames, FrameSamples, prepare
 
 SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
 """Finished fraction after the peak search and after the edges, from 60 frames of 1000 x 1320 pixels."""

@@ -37,8 +37,7 @@ from wafer_viewer.reconstruct.focus.peak_search import (
 )
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
 from wafer_viewer.reconstruct.preprocess.drift import measure_displacements, measure_sharpness
-from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
-from wafer_viewer.reconstruct.preprocess.frames import clipped_from
+from wafer_viewer.reconstruct.preprocess.frames import FrameSamples, clipped_from
 
 AHEAD_SHARE = 0.75
 """Share of the frames after which the motion between them is measured: the surface is behind most of them, and while

@@ -18,18 +18,18 @@ from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.reconstruct.pose_graph.candidate_choice import choose_candidates
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
-from wafer_viewer.reconstruct.registration.drift_pool import with_pooled_drift
-from wafer_viewer.reconstruct.registration.misfit_search import (
+from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
+from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
+from wafer_viewer.reconstruct.registration.pair_registration import look_again, with_pooled_drift
+from wafer_viewer.reconstruct.registration.swap_search import (
     NO_MISFITS,
     Misfits,
+    StageDeviations,
     search_misfits,
+    search_swapped,
     suspects,
     usual_unexplained,
 )
-from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
-from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
-from wafer_viewer.reconstruct.registration.second_look import look_again
-from wafer_viewer.reconstruct.registration.swap_search import StageDeviations, search_swapped
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]

@@ -38,7 +38,7 @@ from wafer_viewer.reconstruct.overlap_settlement import (
     solve_lateral,
 )
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import Positions
-from wafer_viewer.reconstruct.pose_graph.stage_errors import LEAST_TIED
+from wafer_viewer.reconstruct.pose_graph.pose_graph import LEAST_TIED
 from wafer_viewer.reconstruct.pose_graph.vertical_poses import VerticalPoses, solve_heights
 from wafer_viewer.reconstruct.registration.height_seams import compare
 from wafer_viewer.reconstruct.registration.misplaced_fields import stitching_notes

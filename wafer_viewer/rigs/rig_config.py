@@ -10,8 +10,7 @@ from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import MOST_TOML_BYTES, Spec, Within, decode
 from wafer_viewer.rigs.composed.devices import DevicesConfig
-from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
-from wafer_viewer.rigs.virtual.faults import Faults
+from wafer_viewer.rigs.virtual.faults import CalibrationErrors, Faults
 
 if TYPE_CHECKING:
     from wafer_viewer.rigs.composed.rig import DeviceOpener

@@ -28,8 +28,7 @@ from wafer_viewer.session.core.background_work import BackgroundWork, Notificati
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, Library, free_name, today
-from wafer_viewer.session.files.documents import Documents
-from wafer_viewer.session.files.file_jobs import FileJobs
+from wafer_viewer.session.files.file_jobs import Documents, FileJobs
 from wafer_viewer.session.files.frame_check import FrameCheck, FrameCompression
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.inspection.inspection_commands import DefectController
@@ -37,7 +36,6 @@ from wafer_viewer.session.inspection.inspection_files import DefectFiles
 from wafer_viewer.session.inspection.reference_views import DefectViews
 from wafer_viewer.session.measurement.dataset_queries import DatasetQueries
 from wafer_viewer.session.measurement.results import NotebookController, ResultsStore
-from wafer_viewer.session.planning.job_commands import JobController, TrialController
 from wafer_viewer.session.planning.plan_editor import (
     RIG_STARTS,
     PlanEditor,
@@ -47,10 +45,11 @@ from wafer_viewer.session.planning.plan_editor import (
     suggested_name,
 )
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, require_passed
+from wafer_viewer.session.planning.revision_trial import JobController, TrialController
 from wafer_viewer.session.planning.verdicts import Judge
 from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.session.state.snapshot import FieldState, RigStatus, Snapshot
-from wafer_viewer.session.surface.comparison_commands import ComparisonController
+from wafer_viewer.session.surface.comparison_job import ComparisonController
 from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.kernel_build import KernelBuild
 from wafer_viewer.session.surface.reconstruction_queue import Reconstruction

@@ -22,20 +22,18 @@ from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.commands import forwarded, query
 from wafer_viewer.session.core.control_handover import Control
 from wafer_viewer.session.core.dataset_library import Library
-from wafer_viewer.session.files.documents import Documents
 from wafer_viewer.session.files.file_browser import Browsing
-from wafer_viewer.session.files.file_jobs import FileJobs
+from wafer_viewer.session.files.file_jobs import Documents, FileJobs
 from wafer_viewer.session.files.frame_check import FrameCheck
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.gauge.repeat_scans import Studies
 from wafer_viewer.session.inspection.inspection_commands import DefectController
-from wafer_viewer.session.measurement.dataset_queries import DatasetQueries, Measuring
+from wafer_viewer.session.measurement.dataset_queries import DatasetQueries, Measuring, Sections
 from wafer_viewer.session.measurement.results import NotebookController, ResultsStore
-from wafer_viewer.session.measurement.sections import Sections
-from wafer_viewer.session.planning.job_commands import JobController, TrialController
 from wafer_viewer.session.planning.plan_editor import PlanEditor
+from wafer_viewer.session.planning.revision_trial import JobController, TrialController
 from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot
-from wafer_viewer.session.surface.comparison_commands import ComparisonController
+from wafer_viewer.session.surface.comparison_job import ComparisonController
 
 P = ParamSpec("P")
 T = TypeVar("T")

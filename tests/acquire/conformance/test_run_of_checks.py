@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.acquire.conformance.conftest import BY_NAME
+from wafer_viewer.acquire.conformance.bench import TravelLimits, travel_windows
 from wafer_viewer.acquire.conformance.runner import CHECKS, run_checks
-from wafer_viewer.acquire.conformance.travel import TravelLimits, travel_windows
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.acquire.focus.at_place import FocusAtPlace
+from wafer_viewer.acquire.focus.search import FocusAtPlace
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits

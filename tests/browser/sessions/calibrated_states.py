@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.characteristics import (
     Characteristic,
 )
 from wafer_viewer.rigs.virtual.rig import CALIBRATION
-from wafer_viewer.session.state.calibration_state import (
+from wafer_viewer.session.state.instrument_state import (
     CalibrationHistory,
     CalibrationState,
     PendingCalibration,

@@ -13,7 +13,7 @@ from tests.support.page_stand_in import height_map
 from wafer_viewer.model.surface.comparison import Align, Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.state.snapshot import Compared
-from wafer_viewer.session.surface.comparison_commands import ComparisonController
+from wafer_viewer.session.surface.comparison_job import ComparisonController
 
 BUMP = slice(200, 260), slice(120, 210)
 CHANGE = Change(

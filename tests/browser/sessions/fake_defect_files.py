@@ -14,8 +14,7 @@ from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspectio
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles
-from wafer_viewer.session.inspection.klarf_overlay import overlay_klarf
+from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles, overlay_klarf
 from wafer_viewer.session.state.inspection_state import DefectFilesState
 from wafer_viewer.store.tables.klarf import write_klarf
 

@@ -11,7 +11,7 @@ from tests.browser.recording import Recording
 from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.files.documents import Documents
+from wafer_viewer.session.files.file_jobs import Documents
 from wafer_viewer.session.measurement.results import NotebookController
 
 

@@ -21,13 +21,13 @@ from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe

@@ -15,12 +15,12 @@ from tests.browser.sessions.fake_session import RIG, FakeSession
 from tests.browser.sessions.gauge_blocks import CALIBRATION, COLS, PIXEL_UM, ROWS, STEP_UM, blocks, certificate
 from tests.browser.sessions.measuring_session import done as came_to
 from tests.support.page_stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
-from wafer_viewer.measure.gauge.run_chart import run_chart
+from wafer_viewer.measure.gauge.gauge_studies import run_chart
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
-from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
@@ -46,7 +46,7 @@ class FakeGauge(Recording):
         self._session = session
 
     def load_certificate(self, path: Path) -> Future[Certificate]:
-        from wafer_viewer.store.records.gauge_records import read_certificate
+        from wafer_viewer.store.records.calibration_records import read_certificate
 
         try:
             read = read_certificate(path)

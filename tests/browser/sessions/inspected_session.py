@@ -25,7 +25,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.reference_views import DefectViews, Earlier
-from wafer_viewer.session.measurement.sections import cut
+from wafer_viewer.session.measurement.dataset_queries import cut
 from wafer_viewer.session.rendering.render_request import SurfaceKey
 
 GRID = DieGrid(

@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.acquisition.positioners import PositionerLimits, PositionerReading, PositionerState
 from wafer_viewer.session.acquisition.live_camera import live_frame
 from wafer_viewer.session.acquisition.live_controller import LiveLook
-from wafer_viewer.session.state.live_state import FocusTrace, LivePlace, LiveState
+from wafer_viewer.session.state.instrument_state import FocusTrace, LivePlace, LiveState
 
 HERE = Position(80.6, -32.4, 2.0)
 POSITIONERS = (

@@ -26,16 +26,15 @@ from tests.support.page_stand_in import (
 from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
+from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.session.core.command_queue import UndoHistory
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
-from wafer_viewer.session.measurement.dataset_queries import Measuring, ReadOut
-from wafer_viewer.session.measurement.sections import Sections
+from wafer_viewer.session.measurement.dataset_queries import Measuring, ReadOut, Sections
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)

@@ -9,7 +9,7 @@ import pytest
 from skimage.color import deltaE_ciede2000
 
 from tests.draw.test_colormaps import seen_by
-from wafer_viewer.draw.charts.symbols import SHAPES
+from wafer_viewer.draw.charts.axes import SHAPES
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 
 COLOURS = {kind: [int(look.colour[k : k + 2], 16) for k in (1, 3, 5)] for kind, look in DEFECT_CLASSES.items()}

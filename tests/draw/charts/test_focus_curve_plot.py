@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from wafer_viewer.draw.charts.focus_curve_plot import focus_plot_html
+from wafer_viewer.draw.charts.profile_plot import focus_plot_html
 from wafer_viewer.draw.surface.pictures import greys, patch, patch_url
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival

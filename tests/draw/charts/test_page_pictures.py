@@ -12,7 +12,7 @@ from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
 from wafer_viewer.draw.charts.colour_bar import colour_bar_html, origin_legend_html
 from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, field_map_svg
 from wafer_viewer.draw.raster_text import LINE_PX, font, length_px, tag
-from wafer_viewer.draw.surface.ground_plane import GroundLabel, hatch, shadow
+from wafer_viewer.draw.surface.texture_baking import GroundLabel, hatch, shadow
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.state.snapshot import FieldState
 

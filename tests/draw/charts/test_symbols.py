@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
-from wafer_viewer.draw.charts.symbols import SHAPES, symbol, symbol_svg
+from wafer_viewer.draw.charts.axes import SHAPES, symbol, symbol_svg
 from wafer_viewer.draw.charts.wafer_map import MapMark, MapViewport, map_marks_svg
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.browser.sessions.inspected_session import PLANTED, found, repeating_session
 from wafer_viewer.draw.charts.defect_charts import MOST_MARKS, die_stack_svg, shown
-from wafer_viewer.gui.defects import die_stack_view as stacked
+from wafer_viewer.gui.defects import die_views as stacked
 from wafer_viewer.gui.defects import reference_view as beside
 from wafer_viewer.gui.overlays.hud import SheetRoom
 from wafer_viewer.gui.state.view_state import View

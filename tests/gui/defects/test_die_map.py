@@ -13,7 +13,7 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
 from tests.browser.sessions.inspected_states import wafer_of
 from wafer_viewer.draw.charts.die_map import die_frame
-from wafer_viewer.gui.defects.die_map import DefectMap, die_at
+from wafer_viewer.gui.defects.die_views import DefectMap, die_at
 from wafer_viewer.gui.presenters.defects import MOST_SIGNS, chart_of, counts_of, fills_by_class, map_html, pareto_html
 from wafer_viewer.gui.state.view_state import DefectListing, View, next_die, next_kind
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
@@ -137,7 +137,7 @@ def test_the_defect_under_review_stays_where_it_is_listed_still():
 
 def test_the_map_is_drawn_again_only_when_something_of_it_changed(monkeypatch):
     drawn = []
-    monkeypatch.setattr("wafer_viewer.gui.defects.die_map.map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
+    monkeypatch.setattr("wafer_viewer.gui.defects.die_views.map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
     page = Reviewer()
     page.show()
     page.change(review="defect 3")

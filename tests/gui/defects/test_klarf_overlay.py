@@ -7,8 +7,8 @@ from pathlib import Path
 
 from tests.browser.sessions.fake_defect_files import other_file
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.gui.defects.klarf_overlay import other_marks, overlay_html
-from wafer_viewer.session.inspection.klarf_overlay import overlay_klarf
+from wafer_viewer.gui.defects.defect_dialogs import other_marks, overlay_html
+from wafer_viewer.session.inspection.inspection_files import overlay_klarf
 
 INSPECTION = found(PLANTED)
 

@@ -10,14 +10,30 @@ import pytest
 
 from tests.browser.sessions.fake_session import LIMITS, planned
 from tests.browser.sessions.live_session import HERE, POSITIONERS, a_frame, live_session
-from wafer_viewer.gui.live.jog_pad import JogWord, distances_um, next_step_um, pad_html, parse_step, parse_word
-from wafer_viewer.gui.live.live_curve import axis_ends_um, curve_html, grips_html
-from wafer_viewer.gui.live.live_panel import ELSEWHERE, shown_value, words
-from wafer_viewer.gui.live.live_picture import PictureSize, display_picture, offset_um, words_over
+from wafer_viewer.gui.live.live_panel import (
+    ELSEWHERE,
+    JogWord,
+    distances_um,
+    next_step_um,
+    pad_html,
+    parse_step,
+    parse_word,
+    shown_value,
+    words,
+)
+from wafer_viewer.gui.live.live_picture import (
+    PictureSize,
+    axis_ends_um,
+    curve_html,
+    display_picture,
+    grips_html,
+    offset_um,
+    words_over,
+)
 from wafer_viewer.gui.live.live_places import all_places, places_table, side_view
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.session.acquisition.live_controller import known_top, with_score
-from wafer_viewer.session.state.live_state import FocusTrace, LiveState
+from wafer_viewer.session.state.instrument_state import FocusTrace, LiveState
 
 SIZE = PictureSize(14, 14, 600, 450)
 

@@ -12,8 +12,7 @@ from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.profile_dock import CursorMove, parse_cursor_event, parse_drag
 from wafer_viewer.gui.measure.profile_section import LineVerbs
 from wafer_viewer.gui.presenters.measurement import head
-from wafer_viewer.gui.state.browser_storage import changed
-from wafer_viewer.gui.state.view_state import PlotView, View, with_cursor
+from wafer_viewer.gui.state.view_state import PlotView, View, changed, with_cursor
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.sections import Gap, OtherSurface, Section, column_line, row_line
 from wafer_viewer.model.region import Region

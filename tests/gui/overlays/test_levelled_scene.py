@@ -19,10 +19,10 @@ from wafer_viewer.gui.overlays.hud import ReadOutBox
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
-from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_pictures import paint
 from wafer_viewer.session.rendering.render_request import ColourScale, RenderRequest, SurfaceKey, SurfaceStatistics
 
 PIXEL_UM, SIDE, TILT = 2.0, 400, 0.05

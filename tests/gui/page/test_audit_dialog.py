@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from wafer_viewer.gui.page.audit_dialog import SHOWN, audit_table
-from wafer_viewer.model.audit import AuditEntry
+from wafer_viewer.gui.page.import_export_dialogs import SHOWN, audit_table
+from wafer_viewer.model.roles import AuditEntry
 
 NOW = datetime(2026, 3, 3, 12, 0, tzinfo=UTC)
 

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from wafer_viewer.gui.page.browser_info import BrowserEvents
-from wafer_viewer.gui.state.browser_storage import BrowserIdentity
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import BrowserIdentity, View
 from wafer_viewer.session.state.snapshot import Snapshot
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import wafer_viewer.gui
-from wafer_viewer.gui.page.tooltips import BUTTONS, FIELDS, titles_of
-from wafer_viewer.gui.widgets.command import Command
+from wafer_viewer.gui.page.dialogs import BUTTONS, FIELDS, titles_of
+from wafer_viewer.gui.widgets.controls import Command
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import limit_of

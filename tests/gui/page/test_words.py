@@ -19,7 +19,7 @@ from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.presenters import measurement, surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.style import DARK, LIGHT, page_style
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Judgement, Notebook, key_of_result

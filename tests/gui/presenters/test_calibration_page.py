@@ -12,7 +12,7 @@ from wafer_viewer.gui.presenters import calibration as words
 from wafer_viewer.gui.widgets.number_field import EMPTY, option_label
 from wafer_viewer.model.acquisition.characteristics import KINDS, NOT_MEASURED, CalibrationOption, KindOfCalibration
 from wafer_viewer.rigs.virtual.rig import CALIBRATION
-from wafer_viewer.session.state.calibration_state import CalibrationHistory, CalibrationState
+from wafer_viewer.session.state.instrument_state import CalibrationHistory, CalibrationState
 from wafer_viewer.session.state.snapshot import Draft, Snapshot
 
 STATE = made_up.calibrated()

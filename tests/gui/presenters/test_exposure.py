@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from html import unescape
 
-from wafer_viewer.gui.plan.search_sections import result
-from wafer_viewer.model.acquisition.exposure import ExposureLevels, FoundExposure
+from wafer_viewer.gui.plan.plan_sections import result
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.procedure import ExposureLevels, FoundExposure
 from wafer_viewer.model.job import Job
 from wafer_viewer.session.state.snapshot import Draft, Snapshot
 

@@ -9,13 +9,13 @@ from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.shaped_session import ShapedSession
 from wafer_viewer.draw.quantities import value_texts
 from wafer_viewer.gui.presenters import measurement as words
-from wafer_viewer.gui.presenters.provenance import ZERO, source
+from wafer_viewer.gui.presenters.measurement import ZERO, source
 from wafer_viewer.gui.presenters.results import bounds_of
 from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.levelling import PLACES, Levelling
 from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.result_rows import labels_of
+from wafer_viewer.model.measurement.tool_options import PLACES, Levelling
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, TOOLS
 from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region

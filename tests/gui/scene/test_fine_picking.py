@@ -12,8 +12,8 @@ from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.gui.scene.heightfield import HeightField, refine_height_field
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.model.measurement.tool_options import Datum
+from wafer_viewer.session.rendering.render_pictures import paint
 from wafer_viewer.session.rendering.render_request import (
     CoarseHeightField,
     ColourScale,

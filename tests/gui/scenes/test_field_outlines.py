@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.scenes.field_outlines import fields_box, flat_items
+from wafer_viewer.gui.scenes.plan_scene import fields_box, flat_items
 from wafer_viewer.model.acquisition.plan import FieldGrid
 
 SIZE_UM = 600.0, 450.0

@@ -37,8 +37,8 @@ from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.scenes.surface_scene import block_items
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import PointHeight
+from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap

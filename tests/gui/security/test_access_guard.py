@@ -19,8 +19,8 @@ from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
 from wafer_viewer.gui.security.access_guard import AccessGuard
 from wafer_viewer.gui.security.server import open_server
-from wafer_viewer.session.core.page_token import new_token
-from wafer_viewer.session.files.documents import read_report
+from wafer_viewer.session.core.private_file import new_token
+from wafer_viewer.session.files.file_jobs import read_report
 
 Server = tuple[viser.ViserServer, AccessGuard]
 

@@ -22,7 +22,7 @@ from wafer_viewer.gui.app import keep_log
 from wafer_viewer.gui.security import access_guard
 from wafer_viewer.gui.security.access_guard import AccessGuard
 from wafer_viewer.gui.security.server import close_server, open_server
-from wafer_viewer.gui.widgets.error_guard import log
+from wafer_viewer.gui.widgets.callbacks import log
 
 HALF_OPEN = 200
 MOST_FRAME_BYTES = 50 * 1024 * 1024

@@ -10,7 +10,7 @@ import pytest
 
 from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.page.header import _state as header_state
-from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
+from wafer_viewer.gui.scenes.scene_view import acquire_contents
 from wafer_viewer.gui.shell.left_panel import FieldMap, MapClicks
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -11,8 +11,7 @@ import pytest
 
 from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.defects.defect_section import DefectSection
-from wafer_viewer.gui.defects.die_map import DefectMap
-from wafer_viewer.gui.defects.die_stack_view import DefectStack
+from wafer_viewer.gui.defects.die_views import DefectMap, DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside
 from wafer_viewer.gui.overlays.screenshot import PrintPicture
 from wafer_viewer.gui.report import ReportPanel
@@ -22,7 +21,7 @@ from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, shortc
 from wafer_viewer.gui.shell.tour_guide import Welcome
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
-from wafer_viewer.gui.widgets.command import Command, looking, spoken
+from wafer_viewer.gui.widgets.controls import Command, looking, spoken
 from wafer_viewer.model.job import Notebook, SavedView
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.gui.scene.camera_presets import CameraPose, pixel_ray
-from wafer_viewer.gui.state.browser_storage import changed, read, write
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import View, changed, read, write
 from wafer_viewer.gui.surface.heights_section import around, brushed_rows, histogram_area, parse_drag
 from wafer_viewer.gui.surface.points_section import amount, counted
 from wafer_viewer.gui.tools.profile_lines import nearest_share

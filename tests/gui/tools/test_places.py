@@ -14,10 +14,9 @@ from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.gui.scene.heightfield import HeightField
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.tools.initial_regions import first_levelling, initial_regions
-from wafer_viewer.gui.tools.region_shapes import CENTRE, SHAPES, outline_of
-from wafer_viewer.gui.tools.region_tools import has_required_kinds
-from wafer_viewer.gui.widgets.callback_timing import EchoFilter
-from wafer_viewer.model.measurement.levelling import PLACES
+from wafer_viewer.gui.tools.region_tools import CENTRE, SHAPES, has_required_kinds, outline_of
+from wafer_viewer.gui.widgets.callbacks import EchoFilter
+from wafer_viewer.model.measurement.tool_options import PLACES
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering import render_statistics

@@ -12,7 +12,7 @@ from wafer_viewer.measure.texture.areal_texture import texture
 from wafer_viewer.measure.tools.flatness import flatness
 from wafer_viewer.measure.tools.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe

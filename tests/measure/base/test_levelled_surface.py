@@ -11,7 +11,7 @@ from wafer_viewer.measure.base.height_samples import level_for
 from wafer_viewer.measure.base.levelled_surface import Levelled, datum, levelled, levelling_of
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.region import Region
 
 ROWS, COLS = 160, 200

@@ -12,8 +12,7 @@ from tests.support.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
 from tests.support.surfaces import calibration, height_map
 from wafer_viewer.measure.defects.inspection import golden_of_surface, inspect
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import Defect, DefectLimits, DefectRecipe, Inspection
-from wafer_viewer.model.inspection.defect_verdict import verdict_of
+from wafer_viewer.model.inspection.defect import Defect, DefectLimits, DefectRecipe, Inspection, verdict_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.spec import replace

@@ -9,9 +9,9 @@ from scipy.special import ndtr
 from tests.support.made_up_pictures import covered, disc, edge, pixels, strip
 from wafer_viewer.measure.base.correlated_errors import chain_uncertainty, correlation_length
 from wafer_viewer.measure.base.robust_fit import fit_line
-from wafer_viewer.measure.edges.circular_edges import find_circle
 from wafer_viewer.measure.edges.edge_search import U_SUBPIXEL_PX, SearchStrip
 from wafer_viewer.measure.edges.straight_edges import find_edge
+from wafer_viewer.measure.tools.circle import find_circle
 from wafer_viewer.model.errors import MeasureError
 
 RUNS = 40

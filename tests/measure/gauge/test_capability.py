@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.measure.gauge.run_chart import VARIANT, capability
+from wafer_viewer.measure.gauge.gauge_studies import VARIANT, capability
 
 
 def test_cg_and_cgk_by_hand():

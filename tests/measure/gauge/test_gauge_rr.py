@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.measure.gauge.gauge_rr import gauge_rr
+from wafer_viewer.measure.gauge.gauge_studies import gauge_rr
 from wafer_viewer.model.errors import MeasureError
 
 AIAG = np.array(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, record
-from wafer_viewer.measure.gauge.run_chart import ONE_SIDE, OUTSIDE, pooled_scatter, run_chart
+from wafer_viewer.measure.gauge.gauge_studies import ONE_SIDE, OUTSIDE, pooled_scatter, run_chart
 from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.spec import replace
 

@@ -9,7 +9,7 @@ from tests.support.surfaces import calibration, coordinates, noise_of, surface_o
 from wafer_viewer.measure.base.levelled_surface import levelled
 from wafer_viewer.measure.tools.angle import face_angle
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe

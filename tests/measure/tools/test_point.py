@@ -13,7 +13,7 @@ from tests.support.surfaces import calibration, coordinates, gauge_blocks, noise
 from wafer_viewer.measure.base.levelled_surface import levelled
 from wafer_viewer.measure.tools.point import distance, point_height
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe

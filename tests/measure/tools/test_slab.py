@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.page_stand_in import height_map
 from wafer_viewer.draw.charts.profile_plot import dots, frame_of, profile_plot_html
-from wafer_viewer.measure.tools import slab as slabs
-from wafer_viewer.measure.tools.slab import running_median, slab_profile
+from wafer_viewer.measure.tools import profile as slabs
+from wafer_viewer.measure.tools.profile import running_median, slab_profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.sections import Section, SectionRequest
 from wafer_viewer.model.region import Region

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.model.acquisition.flat_field import FlatField
+from wafer_viewer.model.acquisition.calibration import FlatField
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace
 

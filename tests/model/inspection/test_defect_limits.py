@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from tests.support.datasets.inspections import GRID, defect, inspection
-from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
-from wafer_viewer.model.inspection.defect_verdict import verdict_of
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, verdict_of
 from wafer_viewer.model.spec import replace
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.autocorrelation import autocorrelation
 from wafer_viewer.numerics.filters.gaussian import ALPHA, gaussian_mean
 from wafer_viewer.numerics.filters.interpolation import polynomial
+from wafer_viewer.numerics.fourier import autocorrelation
 
 RNG = np.random.default_rng(4)
 

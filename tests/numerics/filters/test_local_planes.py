@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.filters.local_planes import local_planes
+from wafer_viewer.numerics.filters.interpolation import local_planes
 
 
 def test_a_plane_with_holes_is_found_exactly() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.campaigns import examples
-from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
+from wafer_viewer.reconstruct.blending.mosaic_layout import Rectangles
 
 
 def scattered(n: int, seed: int) -> tuple[np.ndarray, ...]:

@@ -23,7 +23,7 @@ from wafer_viewer.reconstruct.blending.stitched_mosaic import (
     layers_of,
     mosaic_provenance,
 )
-from wafer_viewer.reconstruct.comparison.height_difference import as_pyramid
+from wafer_viewer.reconstruct.comparison.compare import as_pyramid
 
 MakeMap = Callable[..., HeightMap]
 

@@ -13,8 +13,7 @@ from tests.truth.endless_wafer import Wafer
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.height_map import Origin, Provenance
-from wafer_viewer.reconstruct.comparison.compare import compare
-from wafer_viewer.reconstruct.comparison.height_difference import read_as
+from wafer_viewer.reconstruct.comparison.compare import compare, read_as
 from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
 
 

@@ -39,10 +39,10 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
     Wall,
     noise_fall,
     peaks_near,
+    side_heights_um,
     tangential_levels,
     tangential_margin_px,
 )
-from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare

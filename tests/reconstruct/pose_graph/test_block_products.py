@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import bsr_array
 
-from wafer_viewer.reconstruct.pose_graph.block_products import add_border, multiply, product
+from wafer_viewer.reconstruct.pose_graph.amg_solver import add_border, multiply, product
 
 EMPTY_ROW = 3
 

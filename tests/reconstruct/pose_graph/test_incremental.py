@@ -15,7 +15,7 @@ from wafer_viewer.model.surface.field_poses import (
     unknown_drift,
 )
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, freeze_unmoved_fields
-from wafer_viewer.reconstruct.registration.drift_pool import with_own_drift, with_pooled_drift
+from wafer_viewer.reconstruct.registration.pair_registration import with_own_drift, with_pooled_drift
 
 
 def _shifts(pairs: np.ndarray) -> Shifts:

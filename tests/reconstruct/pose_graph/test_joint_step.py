@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.reconstruct.pose_graph import joint_step as module
-from wafer_viewer.reconstruct.pose_graph.joint_step import joint_step
+from wafer_viewer.reconstruct.pose_graph import candidate_graph as module
+from wafer_viewer.reconstruct.pose_graph.candidate_graph import joint_step
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(1, 5), (3, 4), (7, 6)])

@@ -8,7 +8,7 @@ import pytest
 from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import solve_positions
-from wafer_viewer.reconstruct.pose_graph.stage_errors import LEAST_TIED, between_neighbours
+from wafer_viewer.reconstruct.pose_graph.pose_graph import LEAST_TIED, between_neighbours
 
 UM = STAGE_PX * PIXEL_UM
 

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 
 from tests.support.wave_renderer import WaveRenderer
-from wafer_viewer.model.acquisition.flat_field import ImageShading
+from wafer_viewer.model.acquisition.calibration import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.blending.stitched_mosaic import stitched_picture
 from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct
-from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
 
 SHAPE = (60, 80)
 SENSITIVITY = np.tile(np.linspace(0.85, 1.15, SHAPE[1]), (SHAPE[0], 1)).astype(np.float32)

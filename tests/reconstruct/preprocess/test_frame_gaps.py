@@ -14,7 +14,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.blending.stitched_mosaic import mosaic_provenance
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.preprocess.frame_gaps import FrameGap, add_gaps, frame_gaps, worst_gap_u_um
+from wafer_viewer.reconstruct.preprocess.frame_jitter import FrameGap, add_gaps, frame_gaps, worst_gap_u_um
 
 
 @pytest.fixture(scope="module")

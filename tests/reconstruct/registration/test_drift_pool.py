@@ -9,7 +9,7 @@ import pytest
 
 from tests.truth.overlaps import grid, shifts_of
 from wafer_viewer.model.surface.field_poses import RejectionReason, Shifts, joined, no_shifts, selected, unknown_drift
-from wafer_viewer.reconstruct.registration.drift_pool import with_own_drift, with_pooled_drift
+from wafer_viewer.reconstruct.registration.pair_registration import with_own_drift, with_pooled_drift
 
 SCATTER_UM2, DRIFT_UM2 = 0.001, 0.01
 

@@ -13,8 +13,7 @@ from tests.truth.drawn_grids import PIXEL_UM as DRAWN_PIXEL_UM
 from tests.truth.drawn_grids import drawn, made
 from wafer_viewer.model.surface.field_poses import RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.registration.pair_registration import refine, register
-from wafer_viewer.reconstruct.registration.second_look import look_again
+from wafer_viewer.reconstruct.registration.pair_registration import look_again, refine, register
 
 SHAPE = (120, 140)
 PAIR = np.array([[0, 1]], np.int32)

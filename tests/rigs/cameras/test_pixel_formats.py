@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.cameras.pixel_formats import PIXEL_FORMATS, decode_image, full_range
+from wafer_viewer.rigs.cameras.base import PIXEL_FORMATS, decode_image, full_range
 
 
 def bit_stream(values, bits):

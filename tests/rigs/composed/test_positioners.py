@@ -7,8 +7,7 @@ import pytest
 
 from tests.rigs.composed.test_composed_rig import changed, example, read
 from wafer_viewer.acquire.commanded_frames import CommandedFrames
-from wafer_viewer.acquire.motion import come_to_rest
-from wafer_viewer.acquire.positioning import move_positioner, read_positioners
+from wafer_viewer.acquire.motion import come_to_rest, move_positioner, read_positioners
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.rigs.composed.device_checks import check_devices
 from wafer_viewer.rigs.rig_config import device_opener, open_rig

@@ -13,7 +13,7 @@ import pytest
 import serial
 
 from tests.rigs.pulse_box.worlds import WallClock
-from wafer_viewer.acquire.axis_reference import reference_axes
+from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import PulseBoxRestarted, RigError, RigTimeout, WireError
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient

@@ -9,7 +9,7 @@ import pytest
 from tests.rigs.stages.conftest import DRIVERS, axis_config, small_limits, switch_on
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.rigs.stages.controllers import CONTROLLERS
-from wafer_viewer.rigs.stages.serial_line import REPLY_S, TRIES
+from wafer_viewer.rigs.stages.motion_controller import REPLY_S, TRIES
 
 ONE_DRIVER = pytest.mark.parametrize("driver", CONTROLLERS)
 

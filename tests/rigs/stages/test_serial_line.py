@@ -12,7 +12,7 @@ import pytest
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.serial_ports import SystemClock, open_port
 from wafer_viewer.rigs.stages import grbl, pi_gcs2, zaber
-from wafer_viewer.rigs.stages.serial_line import LONGEST_LINE, SerialLine
+from wafer_viewer.rigs.stages.motion_controller import LONGEST_LINE, SerialLine
 
 WORDS = {**zaber.FAULTS, **zaber.REJECTED, **grbl.ALARMS, **grbl.ERRORS, **grbl.HELD, **pi_gcs2.ERRORS}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.acquire.axis_reference import reference_axes
 from wafer_viewer.acquire.planner import plan_scan
+from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, PulseTrain
 from wafer_viewer.rigs.rig_config import RigConfig, open_rig
 from wafer_viewer.rigs.virtual import prerendering

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from wafer_viewer.acquire.axis_reference import reference_axes
+from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.prerendering import PrerenderJob, prerender

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.acquire.axis_reference import reference_axes
+from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT, VirtualRig, virtual_limits

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.acquire.commanded_frames import CommandedFrames
-from wafer_viewer.acquire.positioning import move_positioner
+from wafer_viewer.acquire.motion import move_positioner
 from wafer_viewer.model.errors import MotionStopped, RigTimeout
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits

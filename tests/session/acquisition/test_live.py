@@ -10,7 +10,7 @@ import ome_types
 import pytest
 
 from tests.support.patience import PATIENCE_S
-from wafer_viewer.acquire.hand_drive import JogVelocity
+from wafer_viewer.acquire.motion import JogVelocity
 from wafer_viewer.compute.child_process import ChildConnection, Reply, Request
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import replace
@@ -19,7 +19,7 @@ from wafer_viewer.session.acquisition import live_camera
 from wafer_viewer.session.acquisition.live_camera import WORD_S, JogHandle
 from wafer_viewer.session.acquisition.rig_messages import Drive, Jog, LiveTaken, Move, StageMoved, Stop, WatchLive
 from wafer_viewer.session.acquisition.rig_process import RigExecutor
-from wafer_viewer.session.state.live_state import LiveFrame
+from wafer_viewer.session.state.instrument_state import LiveFrame
 
 WITHIN_S = 0.35
 """A loaded machine notices the end of a word so much later."""

@@ -9,7 +9,7 @@ from tests.session.acquisition.test_live import Talk, talk  # noqa: F401
 from tests.session.conftest import small_job
 from tests.support.paths import ROOT
 from tests.support.patience import PATIENCE_S
-from wafer_viewer.acquire.positioning import move_positioner, read_positioners
+from wafer_viewer.acquire.motion import move_positioner, read_positioners
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.errors import MotionStopped, PlanError, RigError
 from wafer_viewer.model.spec import replace

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.wave_renderer import COLS, PIXEL_UM, ROWS, WaveRenderer
-from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
+from wafer_viewer.rigs.virtual.faults import CalibrationErrors
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 

@@ -17,14 +17,20 @@ from wafer_viewer.model.errors import DatasetError, MeasureError, MotionStopped,
 from wafer_viewer.model.gauge import GaugeRecord, GaugeTerms
 from wafer_viewer.model.spec import replace as replace_spec
 from wafer_viewer.rigs.virtual.rig import CALIBRATION
-from wafer_viewer.session.calibration import calibration_controller, records
+from wafer_viewer.session.calibration import calibration_controller
 from wafer_viewer.session.calibration.calibration_controller import CalibrationController
 from wafer_viewer.session.calibration.headless import PROCEDURES
 from wafer_viewer.session.calibration.procedures import DelayProcedure
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
-from wafer_viewer.store.records.calibration_records import FOLDER, calibration_records
-from wafer_viewer.store.records.gauge_records import CALIBRATIONS, CalibrationChange, record_change, sign
+from wafer_viewer.store.records.calibration_records import (
+    CALIBRATIONS,
+    FOLDER,
+    CalibrationChange,
+    calibration_records,
+    record_change,
+    sign,
+)
 
 RIG = RigStatus(name="Bench 2", simulated=False, state="ready", calibration=replace_spec(CALIBRATION, simulated=False))
 
@@ -95,7 +101,7 @@ def nothing_is_recorded(folder):
 def test_every_kind_has_its_procedure_or_its_evaluation():
     for kind, one in KINDS.items():
         assert (kind in PROCEDURES) == (one.source == "rig")
-        assert (kind in records.FROM_CHECKS) == (one.source == "gauge checks")
+        assert (kind in calibration_controller.FROM_CHECKS) == (one.source == "gauge checks")
         fields = getattr(PROCEDURES.get(kind), "__dataclass_fields__", {})
         assert {option.name for option in one.options} <= set(fields)
         assert all(option.default == fields[option.name].default for option in one.options)
@@ -235,7 +241,7 @@ def test_signed_checks_are_evaluated_without_a_motion(bench, monkeypatch):
         one = Characteristic(name="amplification coefficient of z", value=1.0002, unit="1", expanded=2e-4)
         return CalibrationResult(kind="linearity", characteristics=(one,))
 
-    monkeypatch.setitem(records.FROM_CHECKS, "linearity", evaluate)
+    monkeypatch.setitem(calibration_controller.FROM_CHECKS, "linearity", evaluate)
     bench.change(state="scanning")
     result = bench.calibration.run("linearity").result(PATIENCE_S)
     assert (seen, bench.rig.procedures) == (checks[1:], [])

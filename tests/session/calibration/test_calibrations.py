@@ -9,13 +9,14 @@ import pytest
 
 from tests.support.wave_renderer import PIXEL_UM, ShadedRenderer, SteppedRenderer, WaveRenderer
 from wafer_viewer.calibrate.flat_field import block_means
-from wafer_viewer.calibrate.mapping_deviation import grid_px, mapping_deviation
+from wafer_viewer.calibrate.image_geometry import grid_px, mapping_deviation
 from wafer_viewer.model.acquisition.characteristics import KINDS, CalibrationResult, Characteristic
 from wafer_viewer.model.acquisition.procedure import ProcedureStep
 from wafer_viewer.model.errors import DatasetError, MeasureError, MotionStopped, RigError
 from wafer_viewer.session.acquisition.rig_messages import Scan
 from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
-from wafer_viewer.session.calibration import records
+from wafer_viewer.session.calibration import calibration_controller
+from wafer_viewer.session.calibration.calibration_controller import calibration_rows
 from wafer_viewer.session.calibration.frames import CalibrationSite
 from wafer_viewer.session.calibration.headless import (
     PROCEDURES,
@@ -24,11 +25,9 @@ from wafer_viewer.session.calibration.headless import (
     run_calibration,
 )
 from wafer_viewer.session.calibration.procedures import DelayProcedure, PixelProcedure
-from wafer_viewer.session.calibration.records import calibration_rows
 from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.calibration_records import FOLDER, calibration_records
-from wafer_viewer.store.records.gauge_records import CALIBRATIONS
+from wafer_viewer.store.records.calibration_records import CALIBRATIONS, FOLDER, calibration_records
 
 SITE = CalibrationSite(z_range_um=60.0, exposure_us=125.0)
 LINES = {"n_lines": 3, "length_um": 1_200.0, "spread_um": 40_000.0}
@@ -154,7 +153,7 @@ def test_a_list_names_what_is_due(hidden_rig, tmp_path, monkeypatch):
     accept_calibration(rig, tmp_path, delay_result(), "Ann")
     assert {row.kind for row in calibration_rows(tmp_path, rig.name) if not row.is_due} == {"delay"}
     assert all(row.is_due for row in calibration_rows(tmp_path, "Another rig"))
-    monkeypatch.setattr(records, "today", lambda: "2999-01-01")
+    monkeypatch.setattr(calibration_controller, "today", lambda: "2999-01-01")
     assert all(row.is_due for row in calibration_rows(tmp_path, rig.name))
 
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.model.audit import Action, AuditEntry
 from wafer_viewer.model.errors import ControlHeldError, DatasetError, PlanError
+from wafer_viewer.model.roles import Action, AuditEntry
 from wafer_viewer.session.core.audit_trail import NOT_WRITTEN, AuditTrail, account, record
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, restricted_session
 from wafer_viewer.session.core.control_handover import Control
 from wafer_viewer.session.state.snapshot import Snapshot
-from wafer_viewer.store.records.audit_log import AUDIT_LOG, recorded_actions
+from wafer_viewer.store.records.signed_log import AUDIT_LOG, recorded_actions
 
 
 class Bench:
@@ -137,7 +137,7 @@ def test_each_action_of_the_log_is_that_of_a_command_or_of_the_command_line() ->
     from typing import get_args
 
     source = "".join(path.read_text() for path in Path(__file__).parents[3].glob("wafer_viewer/**/*.py"))
-    elsewhere = source.replace(Path(__file__).parents[3].joinpath("wafer_viewer/model/audit.py").read_text(), "")
+    elsewhere = source.replace(Path(__file__).parents[3].joinpath("wafer_viewer/model/roles.py").read_text(), "")
     assert [action for action in get_args(Action) if f'"{action}"' not in elsewhere] == []
     assert AuditEntry(at="", by="", through="Python", action="of a later version").action
 

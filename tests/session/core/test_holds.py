@@ -19,8 +19,8 @@ from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.retention import remove_frames
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.records.audit_log import recorded_actions
 from wafer_viewer.store.records.manifest import deviations
+from wafer_viewer.store.records.signed_log import recorded_actions
 
 ANN, OLGA = Browser("a", "Ann", role="engineer"), Browser("o", "Olga", role="operator")
 

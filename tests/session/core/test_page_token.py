@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.core.page_token import new_token, page_token
+from wafer_viewer.session.core.private_file import new_token, page_token
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes of POSIX")
 

@@ -16,10 +16,10 @@ from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, restricted_session
 from wafer_viewer.session.core.control_handover import Control
-from wafer_viewer.session.core.page_password import MOST_OF_ONE
 from wafer_viewer.session.core.people import NOT_RIGHT, add_person, listed_people, remove_person, signed_in
+from wafer_viewer.session.core.private_file import MOST_OF_ONE
 from wafer_viewer.session.state.snapshot import ControlState, Snapshot
-from wafer_viewer.store.records.audit_log import recorded_actions
+from wafer_viewer.store.records.signed_log import recorded_actions
 
 pytestmark = pytest.mark.usefixtures("quick_passwords")
 ANN, OLGA = "ann's long password", "olga's long password"

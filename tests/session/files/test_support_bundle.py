@@ -54,7 +54,7 @@ def test_secrets_and_names_are_taken_out(tmp_path: Path, log: Path) -> None:
 @pytest.mark.slow
 def test_keys_and_tokens_of_the_data_folder_are_not_read(tmp_path: Path, log: Path, capsys) -> None:
     from wafer_viewer.session.core.audit_trail import record
-    from wafer_viewer.session.core.page_token import page_token
+    from wafer_viewer.session.core.private_file import page_token
 
     data = tmp_path / "data"
     token = page_token(data)

@@ -26,7 +26,7 @@ from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.gauge_records import (
+from wafer_viewer.store.records.calibration_records import (
     CALIBRATIONS,
     CalibrationChange,
     calibration_changes,

@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.spec import encode, replace
-from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_of_job
+from wafer_viewer.session.inspection.inspection_job import GivenDies, dies_of_job
 
 WAFER = Wafer(angle_deg=1.0)
 MARKS = Marks(places=(AlignmentMark(name="a", x_um=0, y_um=0), AlignmentMark(name="b", x_um=900, y_um=900)))

@@ -21,9 +21,7 @@ from wafer_viewer.measure.dies import die_cells
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.session.inspection import inspection_job
-from wafer_viewer.session.inspection.die_lattice_source import GivenDies
-from wafer_viewer.session.inspection.headless import inspected, wafer_of
-from wafer_viewer.session.inspection.inspection_job import in_order, inspect_dataset
+from wafer_viewer.session.inspection.inspection_job import GivenDies, in_order, inspect_dataset, inspected, wafer_of
 from wafer_viewer.session.surface.headless import LocalOrCluster
 from wafer_viewer.store.dataset.dataset import Dataset
 

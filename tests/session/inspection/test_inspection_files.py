@@ -21,8 +21,7 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import restricted_session
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.inspection.inspection_commands import DefectController
-from wafer_viewer.session.inspection.inspection_files import DefectFiles, hand_over, keep_golden
-from wafer_viewer.session.inspection.klarf_overlay import compared, lattice_for
+from wafer_viewer.session.inspection.inspection_files import DefectFiles, compared, hand_over, keep_golden, lattice_for
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.ome_header import states_simulated

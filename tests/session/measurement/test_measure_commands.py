@@ -11,7 +11,7 @@ import pytest
 from tests.support.surfaces import calibration, coordinates, noise_of, surface_of
 from wafer_viewer.measure.registry import measuring_function
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.measurement.dataset_queries import Measuring

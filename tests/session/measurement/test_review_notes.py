@@ -10,7 +10,7 @@ import pytest
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import SavedView
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.files.documents import Documents
+from wafer_viewer.session.files.file_jobs import Documents
 from wafer_viewer.session.measurement.results import NotebookController
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.records.inspection_records import read_notebook

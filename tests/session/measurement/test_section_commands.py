@@ -11,11 +11,10 @@ from tests.support.datasets.grid_dataset import RESULT, make_dataset
 from tests.support.surfaces import coordinates, surface_of
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.sections import OtherSurface, SectionRequest
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.measurement.dataset_queries import Measuring
-from wafer_viewer.session.measurement.sections import Sections
+from wafer_viewer.session.measurement.dataset_queries import Measuring, Sections
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 

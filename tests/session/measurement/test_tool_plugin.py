@@ -19,7 +19,7 @@ import msgspec
 from wafer_viewer.cli.app import commands
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.presenters.measurement import card, symbol
-from wafer_viewer.gui.presenters.provenance import source
+from wafer_viewer.gui.presenters.measurement import source
 from wafer_viewer.gui.tools.initial_regions import INITIAL_REGIONS
 from wafer_viewer.gui.tools.tool_palette import tool_cards, tool_strip
 from wafer_viewer.measure.registry import measured

@@ -11,16 +11,21 @@ from tests.support.datasets.judged_datasets import CALIBRATED, RESULT, judged_da
 from tests.support.gauge_repeats import certificate, repeats
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.gauge.gauge_check import contradiction, gauge_check
-from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, GaugeTerms
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.gauge.gauge_check import trusted_checks
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.io.checksums import sealed_line, sealed_text, strip_checksum, verified_text
-from wafer_viewer.store.records.audit_log import AUDIT_LOG, record_action
-from wafer_viewer.store.records.gauge_records import CALIBRATIONS, GAUGE_LOG, CalibrationChange, record_change, sign
-from wafer_viewer.store.records.signing_key import KEPT_IN, known_public_key
+from wafer_viewer.store.records.calibration_records import (
+    CALIBRATIONS,
+    GAUGE_LOG,
+    CalibrationChange,
+    record_change,
+    sign,
+)
+from wafer_viewer.store.records.signed_log import AUDIT_LOG, KEPT_IN, known_public_key, record_action
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.planning.job_commands import JobController
 from wafer_viewer.session.planning.job_releases import list_released, write_released
 from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot, stops
+from wafer_viewer.session.planning.revision_trial import JobController
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 LIMITS = virtual_limits(540, 720)

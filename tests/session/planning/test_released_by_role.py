@@ -14,11 +14,11 @@ from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.core.audit_trail import AuditTrail, record
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.planning.job_commands import JobController
 from wafer_viewer.session.planning.job_releases import list_released, release_problem, write_released
 from wafer_viewer.session.planning.plan_editor import PlanEditor
+from wafer_viewer.session.planning.revision_trial import JobController
 from wafer_viewer.session.state.snapshot import Browser, ControlState, RigStatus, Snapshot
-from wafer_viewer.store.records.audit_log import AUDIT_LOG, recorded_actions
+from wafer_viewer.store.records.signed_log import AUDIT_LOG, recorded_actions
 
 PEOPLE = Browser("a", "Ann", role="engineer"), Browser("o", "Olga", role="operator")
 

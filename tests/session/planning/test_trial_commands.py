@@ -15,9 +15,8 @@ from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
-from wafer_viewer.session.planning.job_commands import TrialController
 from wafer_viewer.session.planning.plan_editor import PlanEditor
-from wafer_viewer.session.planning.revision_trial import try_job
+from wafer_viewer.session.planning.revision_trial import TrialController, try_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 

@@ -15,13 +15,12 @@ from tests.truth.field_grid import SMALL, make
 from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
 from wafer_viewer.draw.surface.texture_baking import CODES
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, RefusedHeights
-from wafer_viewer.session.rendering.render_dispatch import paint
-from wafer_viewer.session.rendering.render_refused import PlacedField, placed_fields, points_of
+from wafer_viewer.session.rendering.render_pictures import paint
 from wafer_viewer.session.rendering.render_request import (
     RefusedCounts,
     RenderRequest,
@@ -29,6 +28,7 @@ from wafer_viewer.session.rendering.render_request import (
     SurfaceKey,
     unpack_points,
 )
+from wafer_viewer.session.rendering.surface_source import PlacedField, placed_fields, points_of
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz

@@ -11,12 +11,12 @@ import pytest
 
 from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, PartOfMosaic
 from wafer_viewer.session.rendering import render_statistics
-from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_pictures import paint
 from wafer_viewer.session.rendering.render_request import RenderRequest, Statistics, SurfaceKey
 
 PIXEL = 0.5

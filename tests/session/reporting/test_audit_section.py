@@ -12,7 +12,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.audit_trail import record
 from wafer_viewer.session.planning.job_releases import write_released
 from wafer_viewer.session.reporting.report import contents
-from wafer_viewer.store.records.audit_log import AUDIT_LOG
+from wafer_viewer.store.records.signed_log import AUDIT_LOG
 
 HEADING = "<h2>Audit log</h2>"
 

@@ -13,8 +13,8 @@ from wafer_viewer.model.report import ReportOrder, ReportSection
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.reporting.report import contents, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.conformance_reports import report_html
 from wafer_viewer.store.records.inspection_records import write_inspection
-from wafer_viewer.store.records.report_file import report_html
 
 ORDER = ReportOrder(parts=("defects",))
 

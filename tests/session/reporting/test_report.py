@@ -31,8 +31,8 @@ from wafer_viewer.session.reporting.report import contents, gather, make_report,
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+from wafer_viewer.store.records.conformance_reports import report_html
 from wafer_viewer.store.records.inspection_records import write_notebook
-from wafer_viewer.store.records.report_file import report_html
 
 UPPER, LOWER = Region.rectangle(-60, -30, -20, 30), Region.rectangle(20, -30, 60, 30)
 

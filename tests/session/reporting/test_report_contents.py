@@ -16,7 +16,7 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.measurement.feature import Die, Dies
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
@@ -25,7 +25,7 @@ from wafer_viewer.session.reporting.report_data import numbers_of
 from wafer_viewer.store.dataset import integrity
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import digests_of_result
-from wafer_viewer.store.records.report_file import report_html
+from wafer_viewer.store.records.conformance_reports import report_html
 
 FACE = Region.rectangle(-50, -30, -10, 30)
 KINDS = (

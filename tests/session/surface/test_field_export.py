@@ -13,7 +13,7 @@ from tests.support.datasets.grid_dataset import REGISTERED, RESULT, add_surfaces
 from tests.truth.field_grid import SMALL, make
 from wafer_viewer.cli.app import main
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
-from wafer_viewer.store.mosaic.layout import COARSEST_PX
+from wafer_viewer.store.mosaic.zarr_shards import COARSEST_PX
 
 pytestmark = pytest.mark.slow
 

@@ -22,7 +22,7 @@ from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import UNKNOWN, check_files
 from wafer_viewer.store.dataset.result import Result
-from wafer_viewer.store.mosaic.layout import FILLS, levels_of
+from wafer_viewer.store.mosaic.zarr_shards import FILLS, levels_of
 from wafer_viewer.store.records.inspection_records import read_inspection, read_notebook, write_notebook
 
 FLIPS = 6

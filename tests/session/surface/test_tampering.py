@@ -31,12 +31,12 @@ from wafer_viewer.store.dataset.integrity import MANIFESTS, check_files
 from wafer_viewer.store.io.atomic_files import files_below
 from wafer_viewer.store.io.checksums import load_json, save_json, seal_archive, sealed_line, sealed_node, sealed_text
 from wafer_viewer.store.io.checksums import strip_checksum as plain
-from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.zarr_shards import Shards, append_checksum
 from wafer_viewer.store.records import manifest as manifests
 from wafer_viewer.store.records.inspection_records import read_notebook, write_notebook
 from wafer_viewer.store.records.manifest import MANIFEST, MARKS, RECORDS, Manifest
-from wafer_viewer.store.records.signing_key import KEPT_IN, KEY_FILE, KNOWN_KEYS, known_public_key, signing_key
+from wafer_viewer.store.records.signed_log import KEPT_IN, KEY_FILE, KNOWN_KEYS, known_public_key, signing_key
 
 N_TAMPERINGS = 1200
 UNSIGNED = re.compile(r"frames/.*|lock|results/[^/]+/thumbnails/.*|(results/[^/]+/)?manifest\.json")
@@ -105,7 +105,7 @@ def change_archive(path, rng):
 def change_shard(path, rng):
     node = json.loads((path.parents[2] / "zarr.json").read_bytes())
     shards = Shards(
-        np.dtype(node["data_type"]), (node["fill_value"] == "NaN" and np.nan) or 0, layout.CHUNK, layout.SHARD
+        np.dtype(node["data_type"]), (node["fill_value"] == "NaN" and np.nan) or 0, zarr_shards.CHUNK, zarr_shards.SHARD
     )
     chunks = shards._stored_chunks(path)
     place = rng.choice(sorted(chunks))

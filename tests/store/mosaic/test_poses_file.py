@@ -11,7 +11,7 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
-from wafer_viewer.reconstruct.registration.drift_pool import with_pooled_drift
+from wafer_viewer.reconstruct.registration.pair_registration import with_pooled_drift
 from wafer_viewer.store.mosaic.poses_file import read_poses, write_poses, write_poses_csv
 
 NUMBERS = np.random.default_rng(1)

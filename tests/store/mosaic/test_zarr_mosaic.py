@@ -19,14 +19,13 @@ from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.measure.base.height_samples import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.model.surface.pyramid_layers import COUNTS
+from wafer_viewer.model.surface.height_map import COUNTS, Origin
 from wafer_viewer.numerics.grids.pyramid_level import halve
-from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.missing_shards import missing_files
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, lay_out, patches, write_mosaic, write_patch
 
-SIZES = layout.CHUNK, layout.SHARD
+SIZES = zarr_shards.CHUNK, zarr_shards.SHARD
 pytestmark = pytest.mark.usefixtures("small_shards")
 
 
@@ -266,18 +265,18 @@ def all_of(stored, level):
 def test_each_layer_is_an_image_of_the_format(stored):
     models = pytest.importorskip("ome_zarr_models.v05")
     root = zarr.open_group(stored.path, mode="r")
-    assert {name for name, _ in root.members()} == {*layout.FILLS, "facts"}
-    for name in layout.FILLS:
+    assert {name for name, _ in root.members()} == {*zarr_shards.FILLS, "facts"}
+    for name in zarr_shards.FILLS:
         image = models.Image.from_zarr(root[name])
         scales = [d.coordinateTransformations for d in image.attributes.ome.multiscales[0].datasets]
-        assert len(scales) == (stored.levels - 1 if name in layout.FROM_LEVEL_1 else stored.levels)
+        assert len(scales) == (stored.levels - 1 if name in zarr_shards.FROM_LEVEL_1 else stored.levels)
 
 
 def test_the_root_is_an_image_of_the_format_with_a_pyramid_for_each_layer(stored):
     models = pytest.importorskip("ome_zarr_models.v05")
     image = models.Image.from_zarr(zarr.open_group(stored.path, mode="r"))
     multiscales = image.attributes.ome.multiscales
-    assert [one.name for one in multiscales] == list(layout.FILLS)
+    assert [one.name for one in multiscales] == list(zarr_shards.FILLS)
     assert multiscales[0].name == "z_um"
     for one in multiscales:
         alone = models.Image.from_zarr(zarr.open_group(stored.path / one.name, mode="r")).attributes.ome.multiscales[0]

@@ -15,8 +15,8 @@ from tests.support.datasets.samples import (
     make_job,
     make_plan,
 )
+from wafer_viewer.model.acquisition.calibration import FlatField
 from wafer_viewer.model.acquisition.characteristics import CalibrationRecord, CalibrationResult, Characteristic
-from wafer_viewer.model.acquisition.flat_field import FlatField
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import replace
@@ -24,9 +24,13 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import check_files
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.checksums import save_json
-from wafer_viewer.store.records.calibration_records import FOLDER, calibration_records, write_calibration
-from wafer_viewer.store.records.flat_fields import flat_field_in_force
-from wafer_viewer.store.records.gauge_records import calibration_in_force
+from wafer_viewer.store.records.calibration_records import (
+    FOLDER,
+    calibration_in_force,
+    calibration_records,
+    flat_field_in_force,
+    write_calibration,
+)
 
 RISING, NONE = ((0.9, 1.1),), ((0.0, 0.0),)
 FLAT = FlatField(rows=ROWS, cols=COLS, sensitivity=RISING, u_sensitivity=NONE, dark_counts=NONE, u_dark_counts=NONE)

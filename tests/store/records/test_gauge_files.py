@@ -9,7 +9,7 @@ from tests.support.gauge_repeats import CALIBRATION, record
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.records.gauge_records import (
+from wafer_viewer.store.records.calibration_records import (
     GAUGE_LOG,
     CalibrationChange,
     calibration_in_force,

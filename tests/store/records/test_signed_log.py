@@ -17,8 +17,16 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.store.io.checksums import sealed_line, strip_checksum
 from wafer_viewer.store.records import signed_log
-from wafer_viewer.store.records.signed_log import append_record, log_lengths, read_log
-from wafer_viewer.store.records.signing_key import KEPT_IN, KEY_FILE, KNOWN_KEYS, known_public_key, signing_key
+from wafer_viewer.store.records.signed_log import (
+    KEPT_IN,
+    KEY_FILE,
+    KNOWN_KEYS,
+    append_record,
+    known_public_key,
+    log_lengths,
+    read_log,
+    signing_key,
+)
 
 N_RECORDS, N_TAMPERINGS = 12, 1000
 

@@ -6,8 +6,8 @@ import csv
 import io
 
 from wafer_viewer.model.findings import MeasurementResults
-from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurements import AreaVolume, Distance, StepHeight, Texture
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.store.tables.csv_tables import findings_csv

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from wafer_viewer.store.records.manifest import MANIFEST, MARKS
-from wafer_viewer.store.records.signing_key import KEPT_IN
+from wafer_viewer.store.records.signed_log import KEPT_IN
 
 _DIGEST = re.compile(rb',"before":"[0-9a-f]{64}"')
 _CHECKSUM = re.compile(rb',"crc32c":"[0-9a-f]{8}"')

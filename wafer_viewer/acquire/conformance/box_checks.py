@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
-from wafer_viewer.acquire.conformance.bench import ConformanceBench
-from wafer_viewer.acquire.conformance.check import CheckOutcome, CheckRun, ConformanceCheck, DeviceRole, figure, outcome
-from wafer_viewer.acquire.conformance.travel import N_PULSES, PULSE_PERIOD_S, TravelWindow
+from wafer_viewer.acquire.conformance.bench import (
+    N_PULSES,
+    PULSE_PERIOD_S,
+    CheckOutcome,
+    CheckRun,
+    ConformanceBench,
+    ConformanceCheck,
+    DeviceRole,
+    TravelWindow,
+    figure,
+    outcome,
+)
 from wafer_viewer.acquire.pass_runner import COUNT_TOLERANCE
 from wafer_viewer.model.acquisition.devices import Pulse, PulseSummary
 from wafer_viewer.model.acquisition.plan import AXES, Axis, PulseTrain

@@ -7,8 +7,16 @@ from statistics import median
 
 import numpy as np
 
-from wafer_viewer.acquire.conformance.bench import ConformanceBench, Shooting
-from wafer_viewer.acquire.conformance.check import CheckOutcome, CheckRun, ConformanceCheck, DeviceRole, figure, outcome
+from wafer_viewer.acquire.conformance.bench import (
+    CheckOutcome,
+    CheckRun,
+    ConformanceBench,
+    ConformanceCheck,
+    DeviceRole,
+    Shooting,
+    figure,
+    outcome,
+)
 from wafer_viewer.model.acquisition.devices import CameraImage
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus, Image
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits

@@ -7,9 +7,15 @@ from statistics import median
 
 import numpy as np
 
-from wafer_viewer.acquire.conformance.bench import ConformanceBench
-from wafer_viewer.acquire.conformance.check import CheckOutcome, ConformanceCheck, DeviceRole, figure, outcome
-from wafer_viewer.acquire.conformance.travel import TravelWindow
+from wafer_viewer.acquire.conformance.bench import (
+    CheckOutcome,
+    ConformanceBench,
+    ConformanceCheck,
+    DeviceRole,
+    TravelWindow,
+    figure,
+    outcome,
+)
 from wafer_viewer.acquire.motion import device_errors
 from wafer_viewer.acquire.pass_runner import COUNT_TOLERANCE, image_wait_s
 from wafer_viewer.acquire.pulse_reconciliation import PAIRING

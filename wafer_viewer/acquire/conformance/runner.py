@@ -6,9 +6,15 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 from wafer_viewer.acquire.conformance import box_checks, camera_checks, joint_checks, stage_checks
-from wafer_viewer.acquire.conformance.bench import ConformanceBench
-from wafer_viewer.acquire.conformance.check import CheckOutcome, ConformanceCheck, DeviceRole
-from wafer_viewer.acquire.conformance.travel import ORDER, TravelLimits, words_of
+from wafer_viewer.acquire.conformance.bench import (
+    ORDER,
+    CheckOutcome,
+    ConformanceBench,
+    ConformanceCheck,
+    DeviceRole,
+    TravelLimits,
+    words_of,
+)
 from wafer_viewer.acquire.motion import at_um, come_to_rest
 from wafer_viewer.model.acquisition.conformance import ConformanceResult, ConformanceVerdict
 from wafer_viewer.model.acquisition.devices import Position, Rig

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.acquire.conformance.bench import ConformanceBench
-from wafer_viewer.acquire.conformance.check import CheckOutcome, ConformanceCheck, DeviceRole, figure, outcome
-from wafer_viewer.acquire.conformance.travel import TravelWindow
+from wafer_viewer.acquire.conformance.bench import (
+    CheckOutcome,
+    ConformanceBench,
+    ConformanceCheck,
+    DeviceRole,
+    TravelWindow,
+    figure,
+    outcome,
+)
 from wafer_viewer.acquire.motion import ARRIVED_WITHIN_UM, SPARE_FRACTION, SPARE_S, at_um, device_errors
 from wafer_viewer.model.acquisition.plan import AXES, Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.axes import Axis
-from wafer_viewer.draw.charts.symbols import symbol
+from wafer_viewer.draw.charts.axes import Axis, symbol
 from wafer_viewer.model.inspection.defect import Defect, Inspection, RepeatedPlace
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.region import Region

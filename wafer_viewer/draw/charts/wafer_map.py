@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.symbols import symbol
+from wafer_viewer.draw.charts.axes import symbol
 from wafer_viewer.model.acquisition.plan import Field
 
 Outline = Sequence[tuple[float, float]]

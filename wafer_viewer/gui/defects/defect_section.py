@@ -11,24 +11,28 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.surface.display_style import DisplayStyle
-from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, STAYS, ExcludedDialog, area_of_defect, recipes_dialog
+from wafer_viewer.gui.defects.defect_dialogs import (
+    ERRANDS,
+    STAYS,
+    ExcludedDialog,
+    OtherSection,
+    area_of_defect,
+    recipes_dialog,
+)
 from wafer_viewer.gui.defects.inspection_form import InspectionForm
-from wafer_viewer.gui.defects.klarf_overlay import OtherSection
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defects
 from wafer_viewer.gui.presenters import defects as words
 from wafer_viewer.gui.presenters.defects import chart_of, chosen_defect, rows, rows_of, sorting
 from wafer_viewer.gui.presenters.inspection_form import verdict
-from wafer_viewer.gui.presenters.results import Box
+from wafer_viewer.gui.presenters.results import Box, ReviewItem
 from wafer_viewer.gui.presenters.review import chosen_item, filters, review_items
-from wafer_viewer.gui.presenters.review_item import ReviewItem
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails, framed, thumbnail
 from wafer_viewer.gui.state.view_state import SORTS, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
+from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, set_prop, with_precondition
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot

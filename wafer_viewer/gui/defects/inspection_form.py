@@ -32,7 +32,7 @@ from wafer_viewer.gui.presenters.inspection_form import (
     text_of,
 )
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import Debouncer
+from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
     HtmlBlock,
@@ -42,7 +42,6 @@ from wafer_viewer.gui.widgets.controls import (
     set_prop,
     with_decimals,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, threshold_of

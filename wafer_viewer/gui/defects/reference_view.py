@@ -12,8 +12,8 @@ import numpy as np
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.draw.charts.axes import symbol_svg
 from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html
-from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, css_gradient
 from wafer_viewer.draw.number_format import length_text, number, round_length, tick_digits, ticks, with_unit
 from wafer_viewer.draw.quantities import format_quantity
@@ -24,12 +24,10 @@ from wafer_viewer.gui.page.preconditions import no_defect
 from wafer_viewer.gui.presenters.defects import DefectCut, chosen_defect, cut_through
 from wafer_viewer.gui.presenters.review import neighbour
 from wafer_viewer.gui.state.view_state import OF_DEFECT, View
-from wafer_viewer.gui.tools.region_shapes import outline_of
+from wafer_viewer.gui.tools.region_tools import outline_of
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
+from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, with_precondition
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES

@@ -25,10 +25,10 @@ from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import Debouncer, LatestOnlyWorker
-from wafer_viewer.gui.widgets.command import Command, with_precondition
+from wafer_viewer.gui.widgets.callbacks import Debouncer, LatestOnlyWorker, guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
+    Command,
     HtmlBlock,
     add_html,
     button,
@@ -38,8 +38,8 @@ from wafer_viewer.gui.widgets.controls import (
     in_a_row,
     leading,
     set_prop,
+    with_precondition,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.widgets.style import by_id
 from wafer_viewer.model.errors import MeasureError, WaferViewerError

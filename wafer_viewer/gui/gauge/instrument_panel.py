@@ -13,14 +13,13 @@ from wafer_viewer.gui.presenters import calibration as words
 from wafer_viewer.gui.presenters.calibration import SIMULATED, in_words, place
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, command_button, in_a_row, leading, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
+from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, add_html, command_button, in_a_row, leading, set_prop
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, option_label
 from wafer_viewer.model.acquisition.characteristics import KINDS, CalibrationKind
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.session.calibration.calibration_controller import FOCUS_RANGE_UM
-from wafer_viewer.session.state.calibration_state import PendingCalibration
+from wafer_viewer.session.state.instrument_state import PendingCalibration
 from wafer_viewer.session.state.snapshot import Snapshot
 
 ICON = viser.Icon

@@ -9,11 +9,11 @@ from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, outlined, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.acquisition.live_controller import KnownTop, known_top
-from wafer_viewer.session.state.live_state import LivePlace
+from wafer_viewer.session.state.instrument_state import LivePlace
 from wafer_viewer.session.state.snapshot import Snapshot
 
 NOT_KEPT, NOT_THERE = "The place was not kept", "The stage did not move"

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measurements import Profile

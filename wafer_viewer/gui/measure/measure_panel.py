@@ -14,15 +14,14 @@ from wafer_viewer.gui.measure.profile_section import ProfileSection
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import require_step
 from wafer_viewer.gui.presenters import measurement as words
-from wafer_viewer.gui.presenters.measurement import not_evaluated
-from wafer_viewer.gui.presenters.provenance import ZERO, source
+from wafer_viewer.gui.presenters.measurement import ZERO, not_evaluated, source
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.scenes.thumbnails import painted
 from wafer_viewer.gui.state.view_state import Tool, View
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.tools.tool_palette import tool_cards
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import Debouncer, LatestOnlyWorker
+from wafer_viewer.gui.widgets.callbacks import Debouncer, LatestOnlyWorker, guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
     HtmlBlock,
@@ -33,12 +32,11 @@ from wafer_viewer.gui.widgets.controls import (
     outlined,
     set_prop,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, number_of, text_of
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.measurement.measuring_tool import ChoiceControl, Control, ToolName
+from wafer_viewer.model.measurement.tool_options import LevelBy, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import PlotView, View, with_cursor
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
     HtmlBlock,
@@ -23,7 +23,6 @@ from wafer_viewer.gui.widgets.controls import (
     set_prop,
     with_decimals,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.measurement import sections as section_lines
 from wafer_viewer.model.measurement.sections import MOST_LINES, Along, OtherSurface
 from wafer_viewer.model.region import Region

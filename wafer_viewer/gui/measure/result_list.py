@@ -11,14 +11,13 @@ from markupsafe import Markup
 from wafer_viewer.gui.page.dialogs import rename_dialog
 from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, list_text, sign_colour, symbol
-from wafer_viewer.gui.presenters.provenance import surface_name
+from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, list_text, sign_colour, surface_name, symbol
 from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import HtmlBlock, button, command_button, in_a_row, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.session.state.snapshot import Snapshot

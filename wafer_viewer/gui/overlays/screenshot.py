@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.surface.display_style import QUANTITIES
-from wafer_viewer.gui.overlays.legends import SIGNED
+from wafer_viewer.gui.overlays.hud import SIGNED
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import surface_not_shown
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
+from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot

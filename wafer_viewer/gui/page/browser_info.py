@@ -15,10 +15,9 @@ import msgspec
 from markupsafe import Markup
 
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.state.browser_storage import PanelLayout
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import PanelLayout, View
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import add_html
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import LEFT_PX, RIGHT_PX
 from wafer_viewer.model.errors import WaferViewerError, detail, parser_errors_as
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -23,8 +23,8 @@ from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
 from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
 from wafer_viewer.gui.page.uploads import save_upload
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, controlled, outlined
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.files.file_browser import (
     FILE_KINDS,

@@ -1,9 +1,10 @@
-"""Dialogs to open datasets and plans, import images, and export surfaces."""
+"""Dialogs to open datasets and plans, import images, export surfaces, and list the audit log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +12,57 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.page.dialogs import Dialog, open_dataset, open_surface
+from wafer_viewer.gui.page.dialogs import Dialog, format_time, open_dataset, open_surface
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.surface import surface_name
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.surface_format import Reading
+
+# --------------------------------------------------------------------------------------------------------- audit dialog
+
+
+SHOWN = 200
+"""Newest entries that are shown; the command line lists all."""
+
+
+def audit_dialog(page: Page) -> None:
+    """Show the newest entries of the audit log, or why it cannot be read."""
+    dialog = Dialog(page, "Audit log", "What changed something in this folder, signed entry by entry.")
+    try:
+        shown = audit_table(page.session.recorded_actions(), datetime.now().astimezone())
+    except WaferViewerError as fault:
+        shown = Markup('<div class="wv-note fault">{}</div>').format(fault)
+    with dialog.modal:
+        HtmlBlock(page.gui, shown)
+    dialog.close_button("Close")
+
+
+def audit_table(entries: Sequence[AuditEntry], now: datetime) -> Markup:
+    """Return the newest entries as a table, the newest first."""
+    if not entries:
+        return html.empty("Nothing was recorded yet: a scan, a release or a kept result is the first entry.")
+    rows = [_row(entry, now) for entry in reversed(entries[-SHOWN:])]
+    more = len(entries) - len(rows)
+    rest = html.empty(f"{more} earlier entries: wafer-viewer log FOLDER lists them.") if more else Markup()
+    table = html.table(["When", "Who", "What", "Of"], rows, widths_px=(124, 130, None, 220))
+    return Markup('<div class="wv-audit">{}{}</div>').format(table, rest)
+
+
+def _row(entry: AuditEntry, now: datetime) -> Markup:
+    who = Markup("{}<small>{}</small>").format(entry.by, "" if entry.through == "page" else f" {entry.through}")
+    what = Markup("{}<small>{}</small>").format(entry.action, entry.detail and f" {entry.detail}")
+    return html.row([format_time(entry.at, now), who, what, entry.subject])
+
+
+# ------------------------------------------------------------------------------------------------ import export dialogs
+
 
 WRITTEN_TITLES = {kind.title: kind.suffixes[0] for kind in FORMATS if kind.writer is not None}
 """Formats of the export dialog: suffixes by title."""

@@ -16,11 +16,10 @@ from markupsafe import Markup
 
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.viewport import Viewport
-from wafer_viewer.gui.state import browser_storage
-from wafer_viewer.gui.state.browser_storage import BrowserIdentity, Remembered
-from wafer_viewer.gui.state.view_state import ColourBy, View
+from wafer_viewer.gui.state import view_state
+from wafer_viewer.gui.state.view_state import BrowserIdentity, ColourBy, Remembered, View
+from wafer_viewer.gui.widgets.callbacks import guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import add_html
-from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.surface.clipping import Box
@@ -60,7 +59,7 @@ class Page:
         self.recalled = Remembered()
         self._restored = False
         asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
-        self._recalling = asking.submit(browser_storage.recall, client)  # the browser answers while the parts are made
+        self._recalling = asking.submit(view_state.recall, client)  # the browser answers while the parts are made
         asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
         self.as_of_s = 0.0
@@ -127,15 +126,15 @@ class Page:
     def change(self, **choices: Any) -> None:
         """Change choices of the view, store them in the browser, and redraw."""
         with self._lock:
-            before, self.view = self.view, browser_storage.changed(self.view, **choices)
+            before, self.view = self.view, view_state.changed(self.view, **choices)
         data = self.session.snapshot.dataset
-        browser_storage.keep(self.client, before, self.view, str(data.path) if data is not None else "")
+        view_state.keep(self.client, before, self.view, str(data.path) if data is not None else "")
         self.redraw()
 
     def remember(self, browser: BrowserIdentity) -> None:
         """Store another name or layout of this browser, so that it survives a reload."""
         self.browser = browser
-        browser_storage.keep_self(self.client, browser)
+        view_state.keep_self(self.client, browser)
 
     def redraw(self) -> None:
         """Redraw at once, after a change outside of the session."""

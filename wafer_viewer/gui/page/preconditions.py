@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.gui.page.header import TITLES, possible, why_not
 from wafer_viewer.gui.presenters.defects import JUDGEMENT_OF, chosen_defect, number_of
 from wafer_viewer.gui.state.view_state import Step, View
-from wafer_viewer.gui.widgets.command import Obstacle
+from wafer_viewer.gui.widgets.controls import Obstacle
 from wafer_viewer.model.job import Verdict
 from wafer_viewer.model.measurement.sections import MOST_LINES
 from wafer_viewer.session.state.snapshot import Snapshot

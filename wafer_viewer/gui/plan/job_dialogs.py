@@ -17,8 +17,8 @@ from wafer_viewer.gui.presenters.plan import before_release
 from wafer_viewer.gui.presenters.results import KeptFeature, kept_features
 from wafer_viewer.gui.presenters.verdict import RULES
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo, set_prop, with_decimals
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, OptionalPair, Pair
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.sample import AlignmentMark, Marks

@@ -14,16 +14,14 @@ import viser
 
 from wafer_viewer.gui.page.import_export_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
+from wafer_viewer.gui.plan.align_section import Aligning, AlignSection, OperatorView, folded, unfold
 from wafer_viewer.gui.plan.job_dialogs import job_table, jobs_dialog, load_job, required_job, start_dialog
-from wafer_viewer.gui.plan.operator_view import OperatorView, folded, unfold
-from wafer_viewer.gui.plan.release_section import ReleaseSection
-from wafer_viewer.gui.plan.search_sections import ExposureSection, FollowSection
+from wafer_viewer.gui.plan.plan_sections import ExposureSection, FollowSection, ReleaseSection
 from wafer_viewer.gui.presenters import plan as preflight
 from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import Debouncer
+from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
     HtmlBlock,
@@ -35,7 +33,6 @@ from wafer_viewer.gui.widgets.controls import (
     set_prop,
     with_decimals,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.number_field import OptionalPair, Pair, pair_of, pair_text
 from wafer_viewer.model.acquisition.focus_following import FollowFocus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep

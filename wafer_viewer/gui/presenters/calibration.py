@@ -20,7 +20,7 @@ from wafer_viewer.model.acquisition.characteristics import (
     CalibrationRecord,
     Characteristic,
 )
-from wafer_viewer.session.state.calibration_state import CalibrationHistory, CalibrationState, PendingCalibration
+from wafer_viewer.session.state.instrument_state import CalibrationHistory, CalibrationState, PendingCalibration
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 MOST_ROWS = 12

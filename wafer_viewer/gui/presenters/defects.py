@@ -13,14 +13,13 @@ from functools import lru_cache
 
 from markupsafe import Markup
 
+from wafer_viewer.draw.charts.axes import symbol, symbol_svg
 from wafer_viewer.draw.charts.defect_charts import Bar, pareto
 from wafer_viewer.draw.charts.die_map import DieFill, die_shapes, fills_by_count, kinds_of, look_svg
-from wafer_viewer.draw.charts.symbols import symbol, symbol_svg
 from wafer_viewer.draw.charts.wafer_map import MapViewport, Outline
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.quantities import value_texts
-from wafer_viewer.gui.presenters.results import bounds_of
-from wafer_viewer.gui.presenters.review_item import VERDICT_LOOKS, ReviewItem, Row
+from wafer_viewer.gui.presenters.results import VERDICT_LOOKS, ReviewItem, Row, bounds_of
 from wafer_viewer.gui.state.view_state import OF_DEFECT, SORTS, DefectListing, MapBy, ReviewFilter, listed
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.inspection.defect import Defect, Inspection, Judgement
@@ -28,7 +27,7 @@ from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectC
 from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.job import Judgement as Noted
 from wafer_viewer.model.job import Verdict
-from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.inspection_state import InspectionState, OtherTool
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -12,8 +12,7 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.number_field import PLACE, Pair, pair_of, pair_text
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Evidence, Inspection
-from wafer_viewer.model.inspection.defect_verdict import verdict_of
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Evidence, Inspection, verdict_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed

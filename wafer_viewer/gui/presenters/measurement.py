@@ -21,6 +21,7 @@ from wafer_viewer.draw.quantities import (
     value_texts,
     with_unit_sign,
 )
+from wafer_viewer.gui.presenters.gauge import stored_check
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
@@ -40,10 +41,14 @@ from wafer_viewer.model.measurement.measurements import (
 )
 from wafer_viewer.model.measurement.result_rows import Row, rows
 from wafer_viewer.model.measurement.sections import LETTERS, Gap, Section
+from wafer_viewer.model.measurement.tool_options import LevelBy
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
+
+# ---------------------------------------------------------------------------------------------------------- measurement
+
 
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"
@@ -394,3 +399,41 @@ def _second(section: Section) -> Markup:
     name = section.asked.of.title if section.asked.of is not None else LAYER_TITLES[section.profile.surface]
     pt = with_unit(section.profile.pt.value_um, 2)
     return Markup('<span class="wv-second"><i></i>{} <span class="dim">Pt {}</span></span>').format(name, pt)
+
+
+# ----------------------------------------------------------------------------------------------------------- provenance
+
+
+ZERO: dict[LevelBy, str] = {
+    "stage": "the stage's zero",
+    "three points": "the plane through three points",
+    "plane": "the plane of the whole surface",
+    "region": "the plane of a region",
+    "form": "the form of the whole surface",
+}
+"""Names of the height reference by levelling method."""
+
+
+def source(finding: AnyResult) -> Markup:
+    """Return the provenance of a result: regions, points, surface."""
+    body = stored_check(finding) if isinstance(finding, GaugeCheck) else numbers(finding)
+    return html.head("Where it comes from", "µm") + body + _measured_on(finding)
+
+
+def surface_name(finding: AnyResult) -> str:
+    """Return the name of the surface a result was measured on."""
+    return f"field {finding.show}" if finding.show > 0 else "comparison" if finding.show < 0 else "stitched surface"
+
+
+def _measured_on(finding: AnyResult) -> Markup:
+    lines = [
+        f"On the {surface_name(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
+        f"Heights are read from {ZERO[finding.levelling.by]}.",
+    ]
+    tool = TOOL_OF_RESULT.get(type(finding))
+    if tool is not None and tool.on_picture:
+        lines = [f"On the {surface_name(finding)}."]
+    if finding.simulated:
+        lines.append("SIMULATED: not a measurement of a real sample.")
+    lines.extend(finding.notes)
+    return Markup("").join(small(line) for line in lines)

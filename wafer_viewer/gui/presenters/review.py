@@ -13,8 +13,7 @@ from wafer_viewer.draw.quantities import value_texts
 from wafer_viewer.gui.presenters import verdict
 from wafer_viewer.gui.presenters.defects import defect_item, defect_items
 from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_colour, symbol
-from wafer_viewer.gui.presenters.results import Box, bounds_of
-from wafer_viewer.gui.presenters.review_item import VERDICT_LOOKS, VERDICTS, ReviewItem, Row
+from wafer_viewer.gui.presenters.results import VERDICT_LOOKS, VERDICTS, Box, ReviewItem, Row, bounds_of
 from wafer_viewer.gui.presenters.verdict import feature_summary
 from wafer_viewer.gui.state.view_state import DefectListing, ReviewFilter, View
 from wafer_viewer.gui.widgets import html

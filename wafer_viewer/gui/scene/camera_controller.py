@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from wafer_viewer.gui.scene.camera_presets import FOV_RAD, CameraPose, Clear, Vector, direction_of, fit, near_mm
-from wafer_viewer.gui.scene.frustum import Frustum
+from wafer_viewer.gui.scene.quadtree import Frustum
 from wafer_viewer.gui.scene.viewport import Viewport
 
 FLIGHT_S, STEP_S = 0.35, 0.04

@@ -1,4 +1,4 @@
-"""Contents of a scene: items, height scaling and the points the camera frames."""
+"""Contents of a scene: items, height scaling, the points the camera frames, and the colours of both themes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,70 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wafer_viewer.draw.colormaps import Rgb, rgb
 from wafer_viewer.gui.scene.camera_presets import Clear, Vector
-from wafer_viewer.gui.scene.frustum import Frustum
 from wafer_viewer.gui.scene.primitives import Box
+from wafer_viewer.gui.scene.quadtree import Frustum
 from wafer_viewer.gui.scene.reconciler import SceneItem
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.session.rendering.render_request import ColourScale, SurfaceKey, SurfaceStatistics
+
+# ---------------------------------------------------------------------------------------------------------- scene theme
+
+
+@dataclass(frozen=True, slots=True)
+class SceneColours:
+    """ink: labels and edges; accent: fields; casing: under coloured lines, for contrast on any colour map."""
+
+    ink: Rgb
+    soft_ink: Rgb
+    accent: Rgb
+    stage_line: Rgb
+    shadow: Rgb
+    shadow_strength: float
+    ground: Rgb
+    under_lines: Rgb
+    """Casing of lines in the theme's own colours."""
+    doubt: Rgb
+    casing: Rgb = (255, 255, 255)
+    arrow: Rgb = rgb("15202B")
+    path: Rgb = (200, 80, 0)
+    profile: Rgb = rgb("E8590C")
+    region: Rgb = rgb("15202B")
+    mark: Rgb = rgb("0B6E99")
+
+
+LIGHT = SceneColours(
+    ink=rgb("445463"),
+    soft_ink=rgb("66768A"),
+    accent=rgb("0B6E99"),
+    stage_line=rgb("CBD4DE"),
+    shadow=(24, 36, 50),
+    shadow_strength=0.5,
+    ground=rgb("E9EEF3"),
+    under_lines=(255, 255, 255),
+    doubt=rgb("C25E00"),
+)
+DARK = SceneColours(
+    ink=rgb("B2BECA"),
+    soft_ink=rgb("8796A5"),
+    accent=rgb("58BDE8"),
+    stage_line=rgb("323C47"),
+    shadow=(0, 0, 0),
+    shadow_strength=0.8,
+    ground=rgb("1A2129"),
+    under_lines=(13, 18, 23),
+    doubt=rgb("F0B45B"),
+    arrow=rgb("F2F6FA"),
+)
+
+
+def colours(dark: bool) -> SceneColours:
+    """Return the colours of a theme."""
+    return DARK if dark else LIGHT
+
+
+# ------------------------------------------------------------------------------------------------------- scene contents
 
 
 @dataclass(frozen=True, slots=True)

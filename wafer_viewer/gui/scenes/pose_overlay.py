@@ -21,9 +21,8 @@ from wafer_viewer.draw.surface import mesh
 from wafer_viewer.draw.surface.mesh import painted
 from wafer_viewer.gui.scene.primitives import DrapedLines, Layer, Layers, lines
 from wafer_viewer.gui.scene.reconciler import SceneItem
-from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
-from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, colours
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
 from wafer_viewer.session.rendering.render_request import CoarseHeightField, RenderRequest, SurfaceKey

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from wafer_viewer.draw.number_format import number, ticks
-from wafer_viewer.draw.surface import ground_plane, mesh
+from wafer_viewer.draw.surface import mesh, texture_baking
 from wafer_viewer.draw.surface.mesh import painted
 from wafer_viewer.gui.presenters.defects import chosen_defect
 from wafer_viewer.gui.scene.camera_presets import Clear
@@ -17,14 +17,19 @@ from wafer_viewer.gui.scene.display_range import DisplayRangeHysteresis, as_plan
 from wafer_viewer.gui.scene.primitives import Box, add_glb, image_plane, lines
 from wafer_viewer.gui.scene.quadtree import Span
 from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
-from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, corners_of
-from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scene.surface_cache import SurfaceInfoCache, heights_of
-from wafer_viewer.gui.scene.surface_tiles import Shown, TiledSurface, bounds_mm, display_style_of
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, SceneContents, colours, corners_of
+from wafer_viewer.gui.scene.surface_tiles import (
+    Shown,
+    SurfaceInfoCache,
+    TiledSurface,
+    bounds_mm,
+    display_style_of,
+    heights_of,
+)
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache, pose_items
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
 from wafer_viewer.session.core.dataset_library import stamp_of
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey, SurfaceStatistics
@@ -231,14 +236,14 @@ def _plinth(box: Box, dark: bool) -> bytes:
         k: (np.array([a[0], b[0]], np.float32), np.array([a[1], b[1]], np.float32), np.zeros(2, np.float32))
         for k, (a, b) in enumerate(sides)
     }
-    return painted(mesh.walls(edges, -plinth_mm(box)), ground_plane.sides(*ground_plane.PLINTH_TONES[dark]))
+    return painted(mesh.walls(edges, -plinth_mm(box)), texture_baking.sides(*texture_baking.PLINTH_TONES[dark]))
 
 
 def _hatch(box: Box, dark: bool) -> bytes:
     """Return the hatch slightly below the lowest height, visible through holes in the surface."""
     width, height = box[2] - box[0], box[3] - box[1]
     scale = _HATCH_PX_PER_SIDE / max(width, height)
-    picture = ground_plane.hatch(
+    picture = texture_baking.hatch(
         max(2, round(height * scale)), max(2, round(width * scale)), dark=dark, pitch_px=16, line_px=4
     )
     inset = _hatch_mm(box)
@@ -262,7 +267,7 @@ def _shadow(box: Box, dark: bool, z: float) -> bytes:
     palette, pad = colours(dark), _pad_mm(box)
     width, height = box[2] - box[0] + 2 * pad, box[3] - box[1] + 2 * pad
     corners = [(pad, pad), (width - pad, pad), (width - pad, height - pad), (pad, height - pad)]
-    picture = ground_plane.shadow(
+    picture = texture_baking.shadow(
         corners, width, height, pad / 3,
         darkness=palette.shadow_strength, shade=palette.shadow, ink=palette.ink, figures=_figures(box, pad),
     )  # fmt: skip
@@ -278,16 +283,16 @@ def _tick_places(box: Box) -> tuple[list[float], list[float]]:
     return along_x, along_y
 
 
-def _figures(box: Box, pad: float) -> tuple[ground_plane.GroundLabel, ...]:
+def _figures(box: Box, pad: float) -> tuple[texture_baking.GroundLabel, ...]:
     high, gap = figure_height_mm(box), 0.027 * max(box[2] - box[0], box[3] - box[1])
     foot = pad + box[3] - box[1]
     along_x, along_y = _tick_places(box)
     unit = {along_x[-1]: "\u202fµm"} if along_x else {}
     below = [
-        ground_plane.GroundLabel(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
+        texture_baking.GroundLabel(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
         for v in along_x
     ]
-    side_labels = [ground_plane.GroundLabel(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
+    side_labels = [texture_baking.GroundLabel(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
     return (*below, *side_labels)
 
 

@@ -13,7 +13,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import sign_colour
 from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.scenes.surface_scene import source_of
-from wafer_viewer.gui.tools.region_shapes import outline_of
+from wafer_viewer.gui.tools.region_tools import outline_of
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.region import Region

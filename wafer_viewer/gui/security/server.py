@@ -25,7 +25,7 @@ from wafer_viewer.gui.incoming import Handler, Uploads, checked, report_handler_
 from wafer_viewer.gui.security.access_guard import AccessGuard, PlainAnswer
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.network_access import NetworkAccess, require_protected
-from wafer_viewer.session.core.page_token import new_token
+from wafer_viewer.session.core.private_file import new_token
 
 _HANDSHAKE_S = 10.0
 """Time limit of TLS, the same that websockets sets for the request after it."""

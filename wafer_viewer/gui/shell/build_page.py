@@ -1,44 +1,48 @@
-"""Assembly of a page: theme, header, panels, overlays, scene, keys, and the callbacks between them."""
+"""Assembly of a page: theme, header, panels, overlays, scene, keys, and the callbacks between them.
+
+The browser's part is lost_connection.js; it gets its texts in advance and a heartbeat every second.
+"""
 
 from __future__ import annotations
 
+import itertools
+import secrets
+import threading
+import time
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import viser
+from markupsafe import Markup
 
 from wafer_viewer.gui.acquire import AcquirePanel
-from wafer_viewer.gui.defects.die_stack_view import DefectStack
+from wafer_viewer.gui.defects.die_views import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
 from wafer_viewer.gui.gauge.gauge_displays import GaugeDock, StepReadout
 from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
 from wafer_viewer.gui.gauge.instrument_panel import CalibrationDock, InstrumentPanel
-from wafer_viewer.gui.live.live_curve import LiveDock
 from wafer_viewer.gui.live.live_panel import LivePanel
-from wafer_viewer.gui.live.live_picture import LivePicture
+from wafer_viewer.gui.live.live_picture import LiveDock, LivePicture
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
-from wafer_viewer.gui.overlays.hud import Legend, ReadOutBox, ScaleBar
-from wafer_viewer.gui.overlays.legends import ColourLegend, PoseLegend
+from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.overlays.screenshot import PrintPicture
 from wafer_viewer.gui.overlays.toolbar import Toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
-from wafer_viewer.gui.page.header import TITLES, Header, possible, why_not
+from wafer_viewer.gui.page.dialogs import add_hints, add_titles
+from wafer_viewer.gui.page.header import TITLES, Header, Reopened, StatusStrip, possible, why_not
 from wafer_viewer.gui.page.page import Page, Part
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
-from wafer_viewer.gui.page.status_bar import Reopened, StatusStrip
-from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
-from wafer_viewer.gui.page.tooltips import add_hints, add_titles
+from wafer_viewer.gui.page.stop import NOT_STOPPED, complete_fields_sentence, stop
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.report import ReportPanel
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.shell.left_panel import LeftPanel, MapClicks
-from wafer_viewer.gui.shell.lost_connection import Contact
 from wafer_viewer.gui.shell.saved_views import SavedViews, Viewpoint
 from wafer_viewer.gui.shell.shortcuts import (
     Palette,
@@ -55,16 +59,115 @@ from wafer_viewer.gui.surface.heights_section import ShownStatistics
 from wafer_viewer.gui.surface.points_section import PointCount, clip_box_callback
 from wafer_viewer.gui.surface.surface_panel import SurfacePanel
 from wafer_viewer.gui.tools.region_tools import in_scene, take_places
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.command import Command, looking
-from wafer_viewer.gui.widgets.controls import HtmlBlock, always_mounted
-from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded, tell_failure
+from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, always_mounted, looking
 from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, page_style
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
+
+
+# ------------------------------------------------------------------------------------------------------ lost connection
+
+
+BEAT_S = 1.0
+PROGRAM, SINCE = secrets.token_hex(8), time.strftime("%H:%M:%S")
+"""Identity and start time of this process; a page that finds another one reports a restart."""
+_STOP_OUT_OF_REACH, _RED_BUTTON = "Stop on this page does not reach the rig.", "Press the red button on the rig."
+
+
+class Contact:
+    """Heartbeat to the browser, with the texts to show if the connection is lost."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = secrets.token_hex(8)
+        self._beats = itertools.count()
+        self._words = Markup()
+        self._cell = HtmlBlock(page.gui, padded=False)
+        self._closed = threading.Event()
+        self._lock = threading.Lock()
+        page.on_pick("contact-look", lambda _: page.change(step=_step_to_look_at(page.session.snapshot), why=None))
+        page.on_close(self._closed.set)
+        threading.Thread(target=self._beat, name="contact", daemon=True).start()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the browser's texts up to date."""
+        words = {
+            "program": PROGRAM,
+            "page": self._page,
+            "since": SINCE,
+            "state": state(snapshot),
+            "box": out_of_reach(snapshot.rig),
+            "back": disconnection_summary(snapshot),
+            "anew": restart_summary(snapshot),
+            "look": "Look, and confirm the sample" if not snapshot.draft.confirmed else "Look",
+        }
+        self._words = Markup(" ").join(Markup('data-{}="{}"').format(name, text) for name, text in words.items())
+        self._tell()
+
+    def _beat(self) -> None:
+        while not self._closed.wait(BEAT_S):
+            self._tell()
+
+    def _tell(self) -> None:
+        if self._words and not self._closed.is_set():
+            with self._lock:
+                look = Markup("<span {}></span>").format(html.pick("contact-look"))
+                self._cell.show(
+                    Markup('<div hidden class="wv-contact" {} data-beat="{}">{}</div>').format(
+                        self._words, next(self._beats), look
+                    )
+                )
+
+
+def state(snapshot: Snapshot) -> str:
+    """Return the state of the rig in words, shown as the last known state when the connection is lost."""
+    scan = snapshot.scan
+    if snapshot.scanning and scan is not None:
+        return f"{snapshot.rig.state}, field {scan.field.number}"
+    return "at rest" if snapshot.rig.state == "ready" else snapshot.rig.state
+
+
+def out_of_reach(rig: RigStatus) -> str:
+    """Return the instruction for stopping the rig without this page."""
+    return f"{_STOP_OUT_OF_REACH}\n{'It is simulated: nothing real moves.' if rig.simulated else _RED_BUTTON}"
+
+
+def disconnection_summary(snapshot: Snapshot) -> str:
+    """Return what happened while the page was disconnected, and whether action is needed."""
+    scan, data = snapshot.scan, snapshot.dataset
+    if snapshot.rig.state in ("fault", "absent"):
+        return f"{snapshot.rig.message or 'The rig does not answer.'}"
+    if snapshot.scanning and scan is not None:
+        missing = f"{scan.frames_missing} missing, taken again later" if scan.frames_missing else "none missing"
+        frames = f"frame {scan.frames_done} of {scan.frames_total}, {missing}"
+        return f"The scan continued without this page: {frames}. Nothing to do."
+    if scan is not None and scan.finished and data is not None:
+        ended = "has ended" if data.finished else "is stopped"
+        return f"The scan {ended}: {complete_fields_sentence(data)} Nothing to do."
+    return "Nothing moves. Nothing to do." if snapshot.rig.state == "ready" else f"The rig is {snapshot.rig.state}."
+
+
+def restart_summary(snapshot: Snapshot) -> str:
+    """Return what was preserved over a restart of the program, and whether the sample must be confirmed."""
+    data = snapshot.dataset
+    what = (
+        f"{data.path.stem}: {complete_fields_sentence(data)}" if data is not None else "Datasets and results are kept."
+    )
+    wait = "" if snapshot.draft.confirmed else " Nothing moves before the sample is confirmed."
+    return f"{what}{wait}"
+
+
+def _step_to_look_at(snapshot: Snapshot) -> str:
+    """Return the step that asks to confirm the sample."""
+    data = snapshot.dataset
+    return "acquire" if data is not None and not data.finished else "plan"
+
+
+# ----------------------------------------------------------------------------------------------------------- build page
 
 
 class PageTheme:

@@ -27,9 +27,9 @@ from wafer_viewer.draw.charts.wafer_map import (
 )
 from wafer_viewer.draw.colormaps import BRUSH
 from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.defects.defect_dialogs import other_marks
 from wafer_viewer.gui.defects.defect_section import DefectSection
-from wafer_viewer.gui.defects.die_map import DefectMap
-from wafer_viewer.gui.defects.klarf_overlay import other_marks
+from wafer_viewer.gui.defects.die_views import DefectMap
 from wafer_viewer.gui.gauge.gauge_displays import GaugeList
 from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
 from wafer_viewer.gui.live.live_places import LivePlaces
@@ -38,14 +38,14 @@ from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, op
 from wafer_viewer.gui.page.import_export_dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
+from wafer_viewer.gui.presenters.results import ReviewItem
 from wafer_viewer.gui.presenters.review import review_items, review_list
-from wafer_viewer.gui.presenters.review_item import ReviewItem
 from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, command_button, in_a_row, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.acquisition.rig_limits import RigLimits

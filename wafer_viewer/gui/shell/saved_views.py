@@ -14,10 +14,9 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import surface_not_shown
 from wafer_viewer.gui.scene.camera_presets import CameraPose
 from wafer_viewer.gui.scenes.scene_view import SceneView
-from wafer_viewer.gui.state.browser_storage import SavedCamera, keep_standpoint
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import SavedCamera, View, keep_standpoint
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, spoken, with_precondition
+from wafer_viewer.gui.widgets.controls import Command, spoken, with_precondition
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import SavedView
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -18,10 +18,10 @@ from wafer_viewer.gui.acquire import RETAKE, AcquirePanel, why_not_retaken
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure.profile_section import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
-from wafer_viewer.gui.page.audit_dialog import audit_dialog
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES
 from wafer_viewer.gui.page.import_export_dialogs import (
+    audit_dialog,
     export_dialog,
     export_fields_dialog,
     import_dialog,
@@ -50,9 +50,8 @@ from wafer_viewer.gui.surface.focus_evidence import WhyPanel
 from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tools.tool_palette import icon_of
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command, Group, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
+from wafer_viewer.gui.widgets.controls import Command, Group, HtmlBlock, add_html, with_precondition
 from wafer_viewer.gui.widgets.html import with_micro_sign
 from wafer_viewer.model.glossary import Subject, terms_of
 from wafer_viewer.model.measurement.tools import TOOLS

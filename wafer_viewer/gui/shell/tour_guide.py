@@ -20,12 +20,11 @@ from wafer_viewer.gui.report import report_address
 from wafer_viewer.gui.review import JUDGEMENTS
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.command import Command
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, command_button, leading, outlined, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import guarded
+from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, add_html, command_button, leading, outlined, set_prop
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measurements import StepHeight
-from wafer_viewer.session.files.documents import newest_report
+from wafer_viewer.session.files.file_jobs import newest_report
 from wafer_viewer.session.planning.guided_tour import is_tour
 from wafer_viewer.session.state.snapshot import Snapshot
 

@@ -15,10 +15,17 @@ from wafer_viewer.gui.page.preconditions import no_comparison, no_surface
 from wafer_viewer.gui.presenters import surface as words
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
-from wafer_viewer.gui.widgets.command import Command, with_precondition
-from wafer_viewer.gui.widgets.controls import HtmlBlock, ToggleGroup, button, command_button, in_a_row, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
+from wafer_viewer.gui.widgets.controls import (
+    Command,
+    HtmlBlock,
+    ToggleGroup,
+    button,
+    command_button,
+    in_a_row,
+    set_prop,
+    with_precondition,
+)
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.comparison import (
     ALIGN_TITLES,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.focus_curve_plot import focus_plot_html
+from wafer_viewer.draw.charts.profile_plot import focus_plot_html
 from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.draw.surface.pictures import Greys, greys, patch, patch_url
 from wafer_viewer.gui.page.page import Page
@@ -17,9 +17,8 @@ from wafer_viewer.gui.presenters import surface as words
 from wafer_viewer.gui.scene.heightfield import Place
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.focus_curve import FocusCurve

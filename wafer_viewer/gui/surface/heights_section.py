@@ -23,8 +23,8 @@ from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box, Span

@@ -14,12 +14,13 @@ from markupsafe import Markup
 from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.overlays.hud import EDGE_PX
-from wafer_viewer.gui.overlays.legends import WIDTH_PX as LEGEND_PX
+from wafer_viewer.gui.overlays.hud import WIDTH_PX as LEGEND_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import ClipBoxFaces
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
     FloatingPanel,
@@ -29,7 +30,6 @@ from wafer_viewer.gui.widgets.controls import (
     in_a_row,
     set_prop,
 )
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.clipping import Box, LeftOut, Span
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin

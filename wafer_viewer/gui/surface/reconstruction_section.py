@@ -15,8 +15,8 @@ from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, add_html, command_button, in_a_row, set_prop
-from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo

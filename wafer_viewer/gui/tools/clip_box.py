@@ -16,7 +16,7 @@ from wafer_viewer.gui.scene.primitives import dashed, lines
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, corners_of
 from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.widgets.callback_timing import EchoFilter
+from wafer_viewer.gui.widgets.callbacks import EchoFilter
 from wafer_viewer.model.surface.clipping import Box, Span
 
 NAME = "clip"

@@ -20,8 +20,8 @@ from wafer_viewer.gui.tools.surface_landmarks import (
     span_um,
     two_faces,
 )
-from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.measurement.measuring_tool import InitialRegions, ToolName
+from wafer_viewer.model.measurement.tool_options import LevelBy, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 

@@ -15,7 +15,7 @@ from wafer_viewer.gui.scene.heightfield import HeightField, Place
 from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.surface_landmarks import first_line
-from wafer_viewer.gui.widgets.callback_timing import EchoFilter
+from wafer_viewer.gui.widgets.callbacks import EchoFilter
 from wafer_viewer.model.measurement.sections import LETTERS
 from wafer_viewer.model.region import Region
 

@@ -17,21 +17,19 @@ from wafer_viewer.gui.scene.camera_controller import CameraController
 from wafer_viewer.gui.scene.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.scene.drag_handles import CasedLine, DrapedOutline, PlaceMark
 from wafer_viewer.gui.scene.heightfield import HeightField, Place, Read, refine_height_field
-from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
-from wafer_viewer.gui.scene.scene_theme import colours
-from wafer_viewer.gui.scene.surface_cache import SurfaceInfoCache
+from wafer_viewer.gui.scene.scene_contents import DisplayedSurface, colours
+from wafer_viewer.gui.scene.surface_tiles import SurfaceInfoCache
 from wafer_viewer.gui.scene.viewport import ViewAxes
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import NAME as CLIP
 from wafer_viewer.gui.tools.clip_box import ClipBox, Moved
 from wafer_viewer.gui.tools.initial_regions import first_levelling
 from wafer_viewer.gui.tools.profile_lines import CursorMoved, LineTools
-from wafer_viewer.gui.tools.region_shapes import outline_of
-from wafer_viewer.gui.tools.region_tools import LevelTools, PlaceTools
-from wafer_viewer.gui.widgets.callback_timing import LatestOnlyWorker
+from wafer_viewer.gui.tools.region_tools import LevelTools, PlaceTools, outline_of
+from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.tool_options import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box
 

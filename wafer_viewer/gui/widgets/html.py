@@ -19,9 +19,8 @@ import viser._gui_handles
 import viser._icons
 from markupsafe import Markup
 
-from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import WaferViewerError, detail, parser_errors_as
-from wafer_viewer.model.roles import role_for
+from wafer_viewer.model.roles import Action, role_for
 
 _reading = threading.Lock()
 

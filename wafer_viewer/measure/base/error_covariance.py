@@ -26,7 +26,7 @@ from wafer_viewer.measure.base.robust_fit import fit_plane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights
-from wafer_viewer.numerics.autocorrelation import autocorrelation, lagged_products
+from wafer_viewer.numerics.fourier import autocorrelation, lagged_products
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 CELLS = 256

@@ -21,7 +21,7 @@ from wafer_viewer.measure.base.height_samples import (
 )
 from wafer_viewer.measure.base.robust_fit import Fit, robust_fit
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum, LevelBy, Levelling
+from wafer_viewer.model.measurement.tool_options import Datum, LevelBy, Levelling
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import HeightMap, Heights, Mosaic, ReadThrough
 

@@ -1,22 +1,145 @@
-"""Uncertainty of a weighted sum of heights by the uncertainties of its pixels, which are alike over a focus window.
+"""Noise of pixels in results: of weighted sums, and the bias and uncertainty of extremes and roughness.
 
 The residuals of a fit tell the errors of a small area badly: it holds few independent ones, and a faint place has more
 noise than what surrounds it. The uncertainty that each pixel was given by its own focus curve is a lower bound.
+
+Noise makes the range and the roughness of a surface larger. The value by definition is not corrected: its uncertainty
+covers the bias. Realisations of the noise are added to the measured surface once more, and each is evaluated like the
+surface itself. The square of a roughness grows by the square of the noise: the second noise adds to it what the first
+one added. Extremes grow in proportion to the noise, which the second one makes sqrt(2) times as large.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 import numpy as np
 
-from wafer_viewer.measure.base.correlated_errors import Scatter
-from wafer_viewer.measure.base.error_covariance import MOST_PX, WeightedHeights
+from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER, Scatter
+from wafer_viewer.measure.base.error_covariance import MOST_PX, WeightedHeights, area_correlation
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.focus_measures import focus_measures
+from wafer_viewer.numerics.fourier import fast_length
+from wafer_viewer.numerics.normal_statistics import student
+
+# ----------------------------------------------------------------------------------------------------------- noise bias
+
+
+REPEATS = 8
+"""Number of realisations of the noise."""
+MOST_SIDE = 512
+"""Largest side, in pixels, of the lattice on which the noise is evaluated; larger surfaces are thinned to it."""
+BIAS_SHARE = 0.75
+"""Standard uncertainty of a value that is not corrected for a bias, over the estimate of the bias.
+
+U then covers one and a half of the estimate, which is itself uncertain: bench_coverage, seeds below 1000.
+"""
+NOISE = "noise of the heights"
+FORM_ORDER = 2
+"""Order of the polynomial about which the scatter of a face is taken as noise."""
+EXTREMES_GROW = 1 / (math.sqrt(2) - 1)
+"""Growth of an extreme by noise, over what the same noise once more adds."""
+Values = Mapping[str, float]
+
+
+def noise_lines(
+    evaluate: Callable[[Floats], Values],
+    z_um: Floats,
+    covariance_um2: Floats,
+    extremes: Collection[str],
+    repeats: int = REPEATS,
+) -> dict[str, float]:
+    """Return the standard uncertainty (k = 1) due to noise of each length that a surface is evaluated to.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Function of heights [row, col] that returns lengths in um by name.
+    z_um : ndarray
+        Measured heights [row, col], NaN where unmeasured.
+    covariance_um2 : ndarray
+        Covariance of their noise by lag in pixels, [2 r + 1, 2 c + 1], the variance in the middle.
+    extremes : collection of str
+        Names of the lengths that are extreme heights or ranges; the others are means.
+    repeats : int, optional
+        Number of realisations of the noise.
+
+    Returns
+    -------
+    dict
+        Standard uncertainty of each length, um: BIAS_SHARE of its bias by noise, and the scatter between
+        realisations.
+    """
+    found = evaluate(z_um)
+    again = [evaluate(z_um + noise) for noise in noise_of(covariance_um2, z_um.shape, repeats)]
+    lines = dict[str, float]()
+    for name, value in found.items():
+        each = np.array([one[name] for one in again])
+        if name in extremes:
+            bias = EXTREMES_GROW * (float(each.mean()) - value)
+        else:
+            bias = value - math.sqrt(max(0.0, 2 * value**2 - float(np.mean(each**2))))
+        scatter = float(each.std(ddof=1)) * student(repeats - 1) / 2
+        lines[name] = math.hypot(BIAS_SHARE * min(max(0.0, bias), value), scatter)
+    return lines
+
+
+def noise_of(covariance_um2: Floats, shape: tuple[int, ...], repeats: int) -> Iterator[Floats]:
+    """Yield realisations [row, col] of normal noise with a covariance by lag, of a fixed seed."""
+    from scipy.fft import irfft2, rfft2
+
+    rng = np.random.default_rng(0)
+    reach = tuple(n // 2 for n in covariance_um2.shape)
+    size = tuple(fast_length(max(n, r) + r + 1) for n, r in zip(shape, reach, strict=True))
+    table = np.zeros(size)
+    table[: covariance_um2.shape[0], : covariance_um2.shape[1]] = covariance_um2
+    power = np.maximum(np.real(np.asarray(rfft2(np.roll(table, (-reach[0], -reach[1]), (0, 1))))), 0.0)
+    variance = float(np.real(np.asarray(irfft2(power, size)))[0, 0])
+    scale = math.sqrt(float(covariance_um2[reach]) / variance) if variance > 0 else 0.0
+    for _ in range(repeats):
+        white = np.asarray(rfft2(rng.standard_normal(size)))
+        yield scale * np.asarray(irfft2(white * np.sqrt(power), size))[: shape[0], : shape[1]]
+
+
+def thinned(z_um: Floats) -> tuple[Floats, int]:
+    """Return every n-th pixel of heights [row, col] along both sides, at most MOST_SIDE, and n."""
+    step = max(1, math.ceil(max(z_um.shape) / MOST_SIDE))
+    return z_um[::step, ::step], step
+
+
+def scatter_covariance(z_um: Floats) -> Floats | None:
+    """Return the covariance by lag of the scatter of heights [row, col] about a smooth form; None without one.
+
+    It is an upper bound of the noise: texture of the face is in it too.
+    """
+    from wafer_viewer.numerics.filters.interpolation import polynomial
+
+    form = polynomial(z_um, FORM_ORDER)
+    if form is None:
+        return None
+    left = z_um - form
+    variance = float(np.nanmean(left**2))
+    if variance == 0:
+        return np.zeros((1, 1))
+    n = (FORM_ORDER + 1) * (FORM_ORDER + 2) // 2
+    correlation, independent = area_correlation(left)
+    freedom = max(LEAST_FREEDOM, independent - LOST_PER_PARAMETER * n)
+    return variance * (freedom + n) / freedom * correlation
+
+
+def window_covariance(noise_um: float, window_px: float) -> Floats:
+    """Return the covariance by lag in pixels of noise that is alike over a focus window."""
+    reach = max(0, math.ceil(window_px) - 1)
+    row = np.maximum(0.0, 1 - np.abs(np.arange(-reach, reach + 1)) / max(1.0, window_px))
+    return noise_um**2 * np.outer(row, row)
+
+
+# ---------------------------------------------------------------------------------------------------------- pixel noise
+
 
 PIXEL_FREEDOM = 4.0
 """Degrees of freedom of the noise of pixels: tests/bench/bench_coverage.py --reconstructed, seeds below 1000."""

@@ -17,7 +17,7 @@ from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.measure.dies.die_cells import CellSource, Plane, form_powers, sample_of
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.region import Point
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 

@@ -20,7 +20,7 @@ from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, heigh
 from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
 from wafer_viewer.numerics.grids.die_cell_kernels import fill_single_pixels, read_affine, subtract_products

@@ -10,8 +10,8 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.model.errors import DiesNotFound
-from wafer_viewer.numerics.autocorrelation import autocorrelation
 from wafer_viewer.numerics.cross_correlation import contrast
+from wafer_viewer.numerics.fourier import autocorrelation
 from wafer_viewer.numerics.jit import Float32s
 
 

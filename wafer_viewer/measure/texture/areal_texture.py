@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import WINDOW, Z_SCALE, Lines, MeasurementContext
-from wafer_viewer.measure.base.noise_bias import BIAS_SHARE, MOST_SIDE, NOISE, noise_lines, window_covariance
+from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, MOST_SIDE, NOISE, noise_lines, window_covariance
 from wafer_viewer.measure.base.plane_faces import area_of, lattice_of
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.model.errors import MeasureError
@@ -19,10 +19,10 @@ from wafer_viewer.model.measurement.measurements import Texture
 from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.autocorrelation import autocorrelation
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean
 from wafer_viewer.numerics.filters.interpolation import polynomial
 from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
+from wafer_viewer.numerics.fourier import autocorrelation
 
 
 def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:

@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.measurement_context import FLATNESS, Z_SCALE, Lines, MeasurementContext
-from wafer_viewer.measure.base.noise_bias import NOISE, noise_lines, scatter_covariance, thinned
+from wafer_viewer.measure.base.pixel_noise import NOISE, noise_lines, scatter_covariance, thinned
 from wafer_viewer.measure.base.plane_faces import Area, area_of, lattice_of, least_squares_plane
 from wafer_viewer.model.measurement.measurements import Flatness
 from wafer_viewer.model.region import Region

@@ -19,8 +19,7 @@ from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.noise_bias import BIAS_SHARE
-from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
+from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, noise_um, pixel_noise_um
 from wafer_viewer.measure.base.plane_faces import Area, Face, area_of, face_of, lattice_of
 from wafer_viewer.measure.base.robust_fit import plane_design
 from wafer_viewer.model.errors import MeasureError

@@ -7,8 +7,7 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.flat_field import FlatField
+from wafer_viewer.model.acquisition.calibration import Calibration, FlatField, OpticalSetup
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Count, NonNegative, Spec, replace
 

@@ -9,8 +9,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.calibration import Calibration, depth_of_field_um, engraved_aperture
-from wafer_viewer.model.acquisition.flat_field import ImageShading
+from wafer_viewer.model.acquisition.calibration import Calibration, ImageShading, depth_of_field_um, engraved_aperture
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
 

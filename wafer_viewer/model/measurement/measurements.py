@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
 from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
@@ -21,6 +20,7 @@ from wafer_viewer.model.measurement.tool_options import (
     DieOptions,
     GrooveOptions,
     KerfOptions,
+    Levelling,
     RoughnessOptions,
     StepOptions,
     TextureOptions,

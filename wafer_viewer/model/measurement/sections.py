@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES, Outline
 

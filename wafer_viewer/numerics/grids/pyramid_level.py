@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.model.surface.pyramid_layers import (
+from wafer_viewer.model.surface.height_map import (
     COUNTS,
     EXTREMES,
     GREY,
@@ -18,6 +17,7 @@ from wafer_viewer.model.surface.pyramid_layers import (
     OF_MEASURED,
     OF_ORIGIN,
     OVERLAP,
+    Origin,
 )
 from wafer_viewer.numerics.jit import Float32s, Greys, Ints, UInt8s, lean_kernel, lean_part
 

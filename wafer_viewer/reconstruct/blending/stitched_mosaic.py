@@ -30,7 +30,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
 from wafer_viewer.reconstruct.blending.window_blend import BLENDS, blend_layers, lay_pictures
-from wafer_viewer.reconstruct.preprocess.flat_field import without_shading
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 OPTIONAL = ("overlap_um", "u_um")

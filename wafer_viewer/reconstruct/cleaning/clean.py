@@ -37,8 +37,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
-from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
-from wafer_viewer.numerics.filters.local_planes import local_planes
+from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows, local_planes
 from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.numerics.intrinsics import prefetch
 from wafer_viewer.numerics.jit import (
     Float32s,
     Greys,
@@ -31,6 +30,7 @@ from wafer_viewer.numerics.jit import (
     inlined_part,
     lean_kernel,
     lean_part,
+    prefetch,
 )
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames, as_slice, read_block

@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.filters.sliding_filters import AHEAD, box, window_pieces
-from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
     Greys,
@@ -42,6 +41,7 @@ from wafer_viewer.numerics.jit import (
     inlined_part,
     lean_kernel,
     lean_part,
+    quick_log2,
 )
 from wafer_viewer.reconstruct.focus.focus_volume import (
     Focusing,

@@ -1,29 +1,47 @@
 """Peak of the focus curve of each pixel along z: its height, the noise of that, and its scores.
 
 All values of the focus volume are logarithms (base 2).
+
+Both are found in one pass along the frames, row by row, while the levels are in cache.
+
+The window of a measure and the strength of the texture over the noise determine by how much a level varies between two
+frames. Both are simulated for the measure and window in use, so that a measure of another package needs no formula.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
     Greys,
     Int,
+    UInt16s,
     aligned,
     inlined_part,
     lean_kernel,
     lean_part,
+    prefetch,
 )
-from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, FocusCurves, LevelTable, StackSource, log2_of
-from wafer_viewer.reconstruct.focus.level_noise import NOISE_STEPS, LevelNoise
+from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
+from wafer_viewer.reconstruct.focus.focus_volume import (
+    COARSE_PX,
+    FocusCurves,
+    Focusing,
+    LevelTable,
+    StackSource,
+    Volume,
+    log2_of,
+)
 from wafer_viewer.reconstruct.focus.peak_centring import CentringWindow, centre_row, modulations
 from wafer_viewer.reconstruct.focus.peak_interpolation import (
     PeakInterpolation,
@@ -32,7 +50,217 @@ from wafer_viewer.reconstruct.focus.peak_interpolation import (
     gather_blended,
     place_row,
 )
-from wafer_viewer.reconstruct.focus.peak_rivals import Rivals, accept_middles, find_rivals
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+
+# ---------------------------------------------------------------------------------------------------------- level noise
+
+
+NOISE_STEPS = 4
+"""Entries of `LevelNoise.octaves` per power of two."""
+_SIDE_PX, _FRAMES = 64, 12
+"""Side of the simulated patch, and its frames for each strength of the texture."""
+_DEVIATION = {np.dtype(np.uint8): 1.5, np.dtype(np.uint16): 18.0}
+"""Standard deviation of their noise in counts: coarse enough for integers, fine enough for a wide range of textures.
+
+Frames are simulated in the type of those in use, for which the kernels of the measure are compiled anyway.
+"""
+_ROUNDING_COUNTS2 = 1 / 12
+"""Variance of the rounding to counts, a part of the noise."""
+_PEAK_SIGMAS = 5.0
+"""Range of the texture about the mean grey, in its standard deviations."""
+_STRENGTHS = (0.0, *(2.0**n for n in range(-2, 7)))
+"""Standard deviation of the texture over that of the noise, in increasing order; 0 first. Few counts hold fewer."""
+_TAPS = (0.25, 0.5, 0.25)
+"""Filter of the texture along each axis: about that of a lens whose limit is the spacing of the pixels."""
+_OCTAVES = 24
+"""Range of the table of `LevelNoise` in powers of two."""
+_SEED = 20240301
+"""Seed of the simulated texture and noise."""
+
+
+class LevelNoise(NamedTuple):
+    """Standard deviation of a level due to the noise of the camera.
+
+    octaves: float32 [n], by the height of the level over that of pure noise, in `NOISE_STEPS` a power of two from 0 on;
+    of_noise: float32 [grey], log2 of the focus of pure noise by the grey of the pixel.
+    """
+
+    octaves: Float32s
+    of_noise: Float32s
+
+
+@lru_cache(maxsize=64)
+def level_noise(measure: str, window: int, camera: CameraNoise, dtype: np.dtype[Any]) -> LevelNoise:
+    """Return the noise of levels of a measure in frames of a camera."""
+    greys = np.arange(2.0 ** (8 * dtype.itemsize))
+    over, octaves, of_noise, degree = _simulated(measure, window, dtype)
+    table = np.exp2(_extended(np.arange(NOISE_STEPS * _OCTAVES) / NOISE_STEPS, over, np.log2(octaves)))
+    variance = camera.gain_counts * greys + camera.floor_counts2
+    shift = 0.0 if focus_measures()[measure].uses_camera_noise else degree * np.log2(variance / _DEVIATION[dtype] ** 2)
+    return LevelNoise(table.astype(np.float32), np.broadcast_to(of_noise + shift, greys.shape).astype(np.float32))
+
+
+def _extended(at: NDArray[np.float64], over: NDArray[np.float64], log: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate the logarithm of the noise; beyond the strongest texture it falls by half an octave in an octave."""
+    return np.interp(at, over, log) - 0.5 * np.maximum(at - over[-1], 0.0)
+
+
+@lru_cache(maxsize=64)
+def _simulated(
+    measure: str, window: int, dtype: np.dtype[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """Return mean levels over that of noise, their standard deviations in octaves, log2 of the focus of noise, degree.
+
+    The degree is that of the focus in the variance of the grey: 1 for energies.
+    """
+    rng, margin = np.random.default_rng(_SEED), focus_measures()[measure].margin_px(window)
+    side, deviation, grey = _SIDE_PX + 2 * margin, _DEVIATION[dtype], 2.0 ** (8 * dtype.itemsize - 1)
+    strengths = np.array([s for s in _STRENGTHS if _PEAK_SIGMAS * s * deviation <= grey])
+    texture = rng.standard_normal((side, side))
+    for axis in (0, 1):
+        texture = convolve1d(texture, _TAPS, axis=axis)
+    texture *= deviation / texture.std()
+    noise = rng.standard_normal((len(strengths), _FRAMES, side, side))
+    once, twice = (np.sqrt((n * deviation) ** 2 - _ROUNDING_COUNTS2) for n in (1, 2))
+    frames = grey + np.multiply.outer(strengths, texture)[:, None] + once * noise
+    louder = grey + twice * noise[:1]
+    counts = np.concatenate([frames, louder]).round().clip(0, 2 * grey - 1).astype(dtype)
+    levels = _log2_focus(measure, window, margin, counts.reshape(-1, side, side), deviation**2)
+    levels = levels.reshape(len(strengths) + 1, _FRAMES, -1)
+    mean, scatter = levels.mean(axis=(1, 2)), np.sqrt(levels.var(axis=1, ddof=1).mean(axis=1))
+    return mean[:-1] - mean[0], scatter[:-1], float(mean[0]), float(mean[-1] - mean[0]) / 2
+
+
+def _log2_focus(measure: str, window: int, margin: int, counts: Image, variance_counts2: float) -> NDArray[np.float64]:
+    """Return log2 of the focus [k, row, col] within the margin of frames."""
+    kernels, shape, white = focus_kernels(measure), (_SIDE_PX, _SIDE_PX), 2 ** (8 * counts.dtype.itemsize)
+    source = StackSource.of(counts, np.arange(len(counts)), margin, margin, white)
+    levels, (best, peak, clipped) = np.empty((len(counts), *shape), np.uint16), np.empty((3, *shape), np.uint16)
+    volume = Volume(levels, best, peak, clipped, np.empty((0, 0, 0), np.uint16))
+    camera = CameraNoise(gain_counts=variance_counts2 / white, floor_counts2=variance_counts2 / 2)
+    kernels.fill(source, Focusing(window, camera), kernels.make_rows(_SIDE_PX, window, counts.dtype), volume)
+    return LevelTable.of(kernels.table(counts.dtype)).logarithms(levels).astype(np.float64)
+
+
+# ---------------------------------------------------------------------------------------------------------- peak rivals
+
+
+_AHEAD = 4
+"""Prefetch distance in frames."""
+_LEAST_APART = 3
+"""Smallest distance of two tops in frames: the peak between tops two frames apart is off by a frame at most."""
+_MIDDLE_SHARE = np.float32(1 / 6)
+"""Largest distance of a height from the middle of two tops, as a share of theirs, that is not on either of them."""
+
+
+class Rivals(NamedTuple):
+    """Levels of the focus curves of a row away from their peaks, uint16 [col].
+
+    rival, least: highest other top and lowest level. dip_top, dip_low: both ends of the deepest dip between the peak
+    and a top nearer than a rival, and dip_at, the frame of its top. turn, turn_at: highest or lowest level so far
+    between the peak and a frame near it, and its frame.
+    """
+
+    rival: UInt16s
+    least: UInt16s
+    dip_top: UInt16s
+    dip_low: UInt16s
+    dip_at: UInt16s
+    turn: UInt16s
+    turn_at: UInt16s
+
+    @classmethod
+    def make(cls, cols: int) -> Rivals:
+        """Allocate rows of `cols` pixels."""
+        return cls(*(aligned((cols,), np.uint16) for _ in range(7)))
+
+
+@inlined_part
+def find_rivals(curves: FocusCurves, y: Int, gap: Int, octave: Int, found: Rivals) -> None:
+    """Find the highest top of row y at least `gap` frames from its peaks, the lowest level, and dips nearer by.
+
+    Without a rival the lowest level is used. octave: difference of two levels whose focus differs by a factor of two.
+    """
+    levels, best, peak = curves.levels, curves.best[y], curves.peak[y]
+    last, rival, least = levels.shape[0] - 1, found.rival, found.least
+    rival[:] = 0
+    least[:] = 65535
+    for row in (found.dip_top, found.dip_low, found.dip_at, found.turn, found.turn_at):
+        row[:] = 0
+    first, end = last + 1, -1
+    for x in range(peak.size):
+        first, end = min(first, np.int64(peak[x]) - gap), max(end, np.int64(peak[x]) + gap)
+    for k in range(last + 1):
+        prefetch(levels[min(k + _AHEAD, last), y])
+        before, level, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
+        _rival_row(before, level, after, k, gap, peak, rival, least)
+        if first < k < end:
+            _dip_row(level, best, k, gap, octave, peak, found)
+    for x in range(rival.size):
+        a, b = rival[x], least[x]
+        rival[x] = a if a > b else b
+
+
+@lean_part
+def _rival_row(
+    before: UInt16s,
+    level: UInt16s,
+    after: UInt16s,
+    k: Int,
+    gap: Int,
+    peak: UInt16s,
+    rival: UInt16s,
+    least: UInt16s,
+) -> None:
+    u = np.uint16
+    first, width = u(k - gap + 1), u(2 * gap - 1)
+    for x in range(level.size):
+        q, old, low = level[x], rival[x], least[x]
+        far = u(peak[x] - first) >= width
+        higher = far & (q >= before[x]) & (q >= after[x]) & (q > old)
+        rival[x] = q if higher else old
+        least[x] = q if q < low else low
+
+
+@lean_part
+def _dip_row(level: UInt16s, best: UInt16s, k: Int, gap: Int, octave: Int, peak: UInt16s, found: Rivals) -> None:
+    """Follow the curves nearer to their peaks than a rival: how far they fall again before, and rise again behind.
+
+    What is not half as high as the peak is no top: it may be noise on a flank. Tops nearer to each other than half the
+    gap, a focus width, or than `_LEAST_APART` frames misplace a height by no more than is usual.
+    """
+    turn, turn_at, dip_top, dip_low, dip_at = found.turn, found.turn_at, found.dip_top, found.dip_low, found.dip_at
+    u = np.uint16
+    first, width, here, half = u(k - gap + 1), u(2 * gap - 1), u(k), u(octave)
+    apart = u(max(_LEAST_APART, (gap + 1) // 2))
+    for x in range(level.size):
+        q, old, top, low, at = level[x], turn[x], dip_top[x], dip_low[x], peak[x]
+        near, behind = u(at - first) < width, at < here
+        lower, higher = min(q, old), max(q, old)
+        above, below = q if behind else higher, lower if behind else q
+        is_apart = u(here - at if behind else at - here) >= apart
+        counts = near & (is_apart | (not behind)) & (u(best[x] - above) < half)
+        deeper = counts & (u(above - below) > u(top - low))
+        kept = near & (is_apart | behind | (at == here))
+        extreme = lower if behind else higher
+        dip_top[x], dip_low[x] = above if deeper else top, below if deeper else low
+        dip_at[x] = (here if behind else turn_at[x]) if deeper else dip_at[x]
+        turn_at[x] = here if kept & (extreme == q) else turn_at[x]
+        turn[x] = extreme if kept else old
+
+
+@lean_part
+def accept_middles(z_um: Float64s, peak: UInt16s, dip_at: UInt16s, found_um: Float32s, dip: Float32s) -> None:
+    """Take the dip of a row of heights for none where a wide window found the middle of both tops."""
+    for x in range(found_um.size):
+        one_um, other_um = z_um[peak[x]], z_um[dip_at[x]]
+        off_um = abs(found_um[x] - np.float32(0.5 * (one_um + other_um)))
+        is_middle = off_um < _MIDDLE_SHARE * abs(np.float32(other_um - one_um))
+        dip[x] = np.float32(0) if is_middle else dip[x]
+
+
+# ----------------------------------------------------------------------------------------------------------------- peak
+
 
 _DIP_SIGMAS = np.float32(3.0)
 """Depth of the dips that noise makes, in standard deviations of a level: of several frames it is the deepest."""

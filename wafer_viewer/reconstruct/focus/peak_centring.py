@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
@@ -33,6 +32,7 @@ from wafer_viewer.numerics.jit import (
     inline_kernel,
     inlined_part,
     lean_part,
+    quick_log2,
 )
 
 LEAST_SIGMA = 0.8

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.intrinsics import quick_log2
 from wafer_viewer.numerics.jit import (
     Float32s,
     Float64s,
@@ -23,6 +22,7 @@ from wafer_viewer.numerics.jit import (
     inline_kernel,
     lean_kernel,
     lean_part,
+    quick_log2,
 )
 from wafer_viewer.reconstruct.focus.focus_volume import FocusCurves, LevelTable, log2_of
 

@@ -49,9 +49,15 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     rows_in,
     source_of,
 )
-from wafer_viewer.reconstruct.focus.level_noise import LevelNoise, level_noise
 from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
-from wafer_viewer.reconstruct.focus.peak import Peaks, PeakScratch, describe_centred, describe_interpolated
+from wafer_viewer.reconstruct.focus.peak import (
+    LevelNoise,
+    Peaks,
+    PeakScratch,
+    describe_centred,
+    describe_interpolated,
+    level_noise,
+)
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
 from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise

@@ -44,13 +44,13 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
     Wall,
     noise_fall,
     peaks_near,
+    side_heights_um,
     spread_wall,
     tangential_levels,
     tangential_margin_px,
     vectors_px,
 )
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
-from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import Frames

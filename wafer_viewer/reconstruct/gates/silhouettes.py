@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.intrinsics import quick_log2
-from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int32s, Real, UInt16s, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int32s, Real, UInt16s, lean_kernel, lean_part, quick_log2
 from wafer_viewer.reconstruct.focus.focus_volume import StackSource, on_threads, row_parts, source_of_rows, take_grey
 from wafer_viewer.reconstruct.preprocess.frames import Frames
 

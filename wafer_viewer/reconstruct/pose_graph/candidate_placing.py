@@ -17,10 +17,8 @@ from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.numerics.jit import Int, Real, lean_kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import groups
-from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph, Ints
-from wafer_viewer.reconstruct.pose_graph.joint_step import joint_step
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags
-from wafer_viewer.reconstruct.pose_graph.stage_errors import N_SHARED, shared_effects
+from wafer_viewer.reconstruct.pose_graph.candidate_graph import CHOICE, CandidateGraph, Ints, joint_step
+from wafer_viewer.reconstruct.pose_graph.pose_graph import N_SHARED, Flags, shared_effects
 
 RELAXED_PX = (6.0, 2.0, 1.0)
 """Residuals at which overlaps have lost three quarters of their weight, when all fields are moved together, px."""

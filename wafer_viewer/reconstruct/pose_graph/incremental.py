@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import HeightOffsets, Poses, RejectionReason, Shifts, joined, selected
-from wafer_viewer.reconstruct.registration.drift_pool import with_own_drift
+from wafer_viewer.reconstruct.registration.pair_registration import with_own_drift
 
 Pairs = NDArray[np.int32]
 T = TypeVar("T", Shifts, HeightOffsets)

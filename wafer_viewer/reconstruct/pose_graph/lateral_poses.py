@@ -18,7 +18,7 @@ from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts
 from wafer_viewer.numerics.block_gradients import LOOSE_PX
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import arbitrate_bridges, groups
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph
+from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph, between_neighbours
 from wafer_viewer.reconstruct.pose_graph.robust_solver import (
     REJECTED,
     RobustSolution,
@@ -26,7 +26,6 @@ from wafer_viewer.reconstruct.pose_graph.robust_solver import (
     solve_robust,
     standard_uncertainties,
 )
-from wafer_viewer.reconstruct.pose_graph.stage_errors import between_neighbours
 
 SIGMA = 0.05
 """Prior standard deviation of rotation (rad) and scale (fraction); uncertain values are not applied."""

@@ -10,6 +10,10 @@ that line is higher by the ratio of the missing light: three times for x2, nine 
 
 Exposures that were taken in turn lie at different z: each is interpolated linearly between its own frames to the z of
 the stack, else dark and bright areas would differ in height by a part of the z step.
+
+The shading of a pixel is constant over z: it multiplies the focus curve of the pixel and does not move its peak. So the
+frames stay as they are, and the one image that is made of them is corrected, from which overlaps are registered and the
+texture of the surface is blended.
 """
 
 from __future__ import annotations
@@ -18,13 +22,18 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.calibration import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt16s, kernel
+
+# ------------------------------------------------------------------------------------------------------ exposure fusion
+
 
 FULL_COUNTS = 65535
 """White of the shortest exposure in a fused image."""
@@ -270,3 +279,21 @@ def _finish(
         for x in range(row.size):
             fused = (light_row[x] + np.float32(row[x]) - black) / (gain_row[x] + of_shortest) * scale
             out_row[x] = np.uint16(np.int32(min(full, max(none, fused + half))))
+
+
+# ----------------------------------------------------------------------------------------------------------- flat field
+
+
+def without_shading(picture: Image, shading: ImageShading | None, fusion: Fusion | None = None) -> Image:
+    """Return an image as a camera of equal sensitivity and without a dark level takes it.
+
+    fusion: of the exposures that the image was made of, in whose counts it is.
+    """
+    if shading is None:
+        return picture
+    dark = shading.dark_counts
+    if fusion is not None:
+        dark = np.float32(fusion.scale) * (dark - np.float32(fusion.black_counts))
+    light = (picture - dark) / shading.sensitivity
+    counts: Any = np.clip(np.rint(light), 0, np.iinfo(picture.dtype).max)
+    return counts.astype(picture.dtype)

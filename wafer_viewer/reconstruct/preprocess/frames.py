@@ -4,14 +4,16 @@ All corrections before the focus measure are applied here: defective pixels are 
 frames resampled, all while a block is read, so that no stack is ever completely in memory. Where no correction is
 needed a block is a plain copy, and rows without a defect are not copied at all: nearly every camera has a defective
 pixel, which must not slow down the rest of the field.
+
+They need one or two frames alone, so that those of a live field are taken while its frames arrive.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +23,75 @@ from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
-from wafer_viewer.reconstruct.preprocess.drift import (
-    Drift,
-    TileMotions,
-    drift_note,
-    drift_of,
-    measure_displacements,
-)
+from wafer_viewer.reconstruct.preprocess.drift import Drift, TileMotions, drift_note, drift_of, measure_displacements
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of, z_taps
-from wafer_viewer.reconstruct.preprocess.flicker import Flicker, divide_by_gain, fineness, measure_flicker
-from wafer_viewer.reconstruct.preprocess.frame_samples import FrameSamples
-from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws, faulty_frames, find_flaws
-from wafer_viewer.reconstruct.preprocess.torn_frames import torn_frames
+from wafer_viewer.reconstruct.preprocess.flicker import (
+    Flicker,
+    FlickerCells,
+    divide_by_gain,
+    fineness,
+    flicker_cells,
+    measure_flicker,
+)
+from wafer_viewer.reconstruct.preprocess.sensor_faults import FaultStats, Flaws, fault_stats, faulty_frames, find_flaws
+from wafer_viewer.reconstruct.preprocess.torn_frames import SampledBands, relative_change, sampled_bands, torn_frames
+
+# -------------------------------------------------------------------------------------------------------- frame samples
+
+
+Key = TypeVar("Key")
+Sample = TypeVar("Sample")
+
+
+class FrameSamples:
+    """Measurements of the frames of one exposure, by slot; made on demand and kept.
+
+    clipped_counts: grey from which a pixel is clipped; motions: of frames without corrections.
+    """
+
+    def __init__(self, clipped_counts: int) -> None:
+        self.clipped_counts = clipped_counts
+        self._stats: dict[int, FaultStats] = {}
+        self._bands: dict[int, SampledBands] = {}
+        self._cells: dict[int, FlickerCells] = {}
+        self._changes: dict[tuple[int, int], NDArray[np.float32]] = {}
+        self.motions = TileMotions()
+
+    def take(self, slot: int, frame: Image) -> None:
+        """Make all measurements of a frame, and those of it and the frames near it that were taken before."""
+        self.stats(slot, frame)
+        self.cells(slot, frame)
+        if self.bands(slot, frame).grey.size:
+            for near in (slot - 2, slot - 1, slot + 1, slot + 2):
+                if near in self._bands:
+                    self.change(slot, near)
+
+    def stats(self, slot: int, frame: Image) -> FaultStats:
+        """Return grey, clipped fraction and focus energy of a frame."""
+        return _kept(self._stats, slot, lambda: fault_stats(frame, self.clipped_counts))
+
+    def bands(self, slot: int, frame: Image) -> SampledBands:
+        """Return a sample of each band of rows of a frame."""
+        return _kept(self._bands, slot, lambda: sampled_bands(frame))
+
+    def change(self, one: int, other: int) -> NDArray[np.float32]:
+        """Return how much each band differs between two frames whose bands are sampled, [band]."""
+        pair = min(one, other), max(one, other)
+        return _kept(self._changes, pair, lambda: relative_change(self._bands[pair[0]], self._bands[pair[1]]))
+
+    def cells(self, slot: int, frame: Image) -> FlickerCells:
+        """Return the cells of a frame."""
+        return _kept(self._cells, slot, lambda: flicker_cells(frame, self.clipped_counts))
+
+
+def _kept(known: dict[Key, Sample], key: Key, measure: Callable[[], Sample]) -> Sample:
+    if key not in known:
+        known[key] = measure()
+    return known[key]
+
+
+# --------------------------------------------------------------------------------------------------------------- frames
+
 
 CLIPPED_SHARE_OF_WHITE = 0.98
 """Fraction of white from which a pixel counts as clipped: 250 of 255."""

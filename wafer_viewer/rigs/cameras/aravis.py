@@ -28,11 +28,12 @@ from wafer_viewer.rigs.cameras.base import (
     CameraHead,
     FrameNumbers,
     GenICamOptions,
+    decode_image,
+    format_of,
     import_library,
     require_choice,
     select_device,
 )
-from wafer_viewer.rigs.cameras.pixel_formats import decode_image, format_of
 
 MEND = "as root: apt-get install gir1.2-aravis-0.8 python3-gi"
 SYSTEM_GI = Path("/usr/lib/python3/dist-packages/gi/__init__.py")

@@ -19,11 +19,12 @@ from wafer_viewer.rigs.cameras.base import (
     CameraHead,
     FrameNumbers,
     GenICamOptions,
+    decode_image,
+    format_of,
     import_library,
     require_choice,
     select_device,
 )
-from wafer_viewer.rigs.cameras.pixel_formats import decode_image, format_of
 
 MEND = "pip install 'wafer-viewer[gentl]'"
 SHORTEST_WAIT_S = 1e-4

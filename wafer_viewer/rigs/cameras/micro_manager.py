@@ -17,8 +17,7 @@ from wafer_viewer.model.acquisition.focus_stack import FrameStatus, Image
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.spec import Positive
-from wafer_viewer.rigs.cameras.base import CameraHead, CameraOptions, Trigger, import_library
-from wafer_viewer.rigs.cameras.pixel_formats import full_range
+from wafer_viewer.rigs.cameras.base import CameraHead, CameraOptions, Trigger, full_range, import_library
 
 MEND = "pip install 'wafer-viewer[micro-manager]'"
 LABEL = "Camera"

@@ -17,8 +17,7 @@ from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.rigs.cameras.drivers import CAMERAS
-from wafer_viewer.rigs.composed.devices import DevicesConfig
-from wafer_viewer.rigs.composed.positioners import ObjectiveConfig
+from wafer_viewer.rigs.composed.devices import DevicesConfig, ObjectiveConfig
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.serial_ports import ReopenedPort, SystemClock, open_port
 from wafer_viewer.rigs.stages.controller_stage import ControllerPositioner, ControllerStage

@@ -15,8 +15,15 @@ from typing import NamedTuple
 
 from wafer_viewer.model.acquisition.devices import Clock, SerialPort
 from wafer_viewer.model.errors import RigError, RigTimeout
-from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, ControllerDriver
-from wafer_viewer.rigs.stages.serial_line import QUIET_S, REPLY_S, TRIES, WAKE_S, SerialLine
+from wafer_viewer.rigs.stages.motion_controller import (
+    QUIET_S,
+    REPLY_S,
+    TRIES,
+    WAKE_S,
+    ControllerAxis,
+    ControllerDriver,
+    SerialLine,
+)
 from wafer_viewer.rigs.stages.simulated.grbl import SimulatedGrbl
 
 STATUS = re.compile(r"<([A-Za-z]+)(?::\d+)?\|(?:[^>]*\|)?([MW])Pos:([-\d.,]+)(?:\|[^>]*)?>")

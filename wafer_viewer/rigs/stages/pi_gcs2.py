@@ -13,8 +13,7 @@ from typing import TypeVar
 
 from wafer_viewer.model.acquisition.devices import Clock, SerialPort
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, ControllerDriver
-from wafer_viewer.rigs.stages.serial_line import QUIET_S, TRIES, SerialLine
+from wafer_viewer.rigs.stages.motion_controller import QUIET_S, TRIES, ControllerAxis, ControllerDriver, SerialLine
 from wafer_viewer.rigs.stages.simulated.pi_gcs2 import SimulatedPi
 
 T = TypeVar("T")

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from wafer_viewer.model.acquisition.devices import Clock, SerialPort
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.stages.motion_controller import ControllerAxis, ControllerDriver
-from wafer_viewer.rigs.stages.serial_line import TRIES, SerialLine
+from wafer_viewer.rigs.stages.motion_controller import TRIES, ControllerAxis, ControllerDriver, SerialLine
 from wafer_viewer.rigs.stages.simulated.zaber import SimulatedZaber
 
 SPEED_UNIT = 1.6384

@@ -25,9 +25,9 @@ from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, decode, encode
-from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
 from wafer_viewer.rigs.virtual.camera import LEVEL, TRIGGER_DELAY_US, Renderer
 from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.faults import CalibrationErrors
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 NEAR_UM = 0.02

@@ -19,10 +19,9 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
-from wafer_viewer.rigs.virtual.calibration_errors import CalibrationErrors
 from wafer_viewer.rigs.virtual.camera import LEVEL, TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock
-from wafer_viewer.rigs.virtual.faults import Faults
+from wafer_viewer.rigs.virtual.faults import CalibrationErrors, Faults
 from wafer_viewer.rigs.virtual.positioners import (
     OWN,
     SimulatedPositioner,

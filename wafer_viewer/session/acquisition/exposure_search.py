@@ -8,8 +8,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.acquisition.exposure import FoundExposure
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan
+from wafer_viewer.model.acquisition.procedure import FoundExposure
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode, replace

@@ -9,13 +9,12 @@ from collections.abc import Callable
 import numpy as np
 
 from wafer_viewer.acquire.commanded_frames import CommandedFrame, CommandedFrames
-from wafer_viewer.acquire.hand_drive import REST, JogVelocity
-from wafer_viewer.acquire.motion import LOOK_S
+from wafer_viewer.acquire.motion import LOOK_S, REST, JogVelocity
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.session.acquisition.rig_messages import Jog, LiveFailed
-from wafer_viewer.session.state.live_state import LiveFrame
+from wafer_viewer.session.state.instrument_state import LiveFrame
 
 WORD_S = 0.4
 """Time after the last word of a jog at which the stage is stopped: the page repeats the word every 0.15 s."""

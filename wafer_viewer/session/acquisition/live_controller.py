@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wafer_viewer.acquire.focus.search import FocusFound, GoToFocus
-from wafer_viewer.acquire.hand_drive import JogVelocity
+from wafer_viewer.acquire.motion import JogVelocity
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.acquisition.positioners import PositionerReading
@@ -23,7 +23,7 @@ from wafer_viewer.session.acquisition.rig_messages import Drive, Jog, MovePositi
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.planning.plan_editor import PlanEditor
-from wafer_viewer.session.state.live_state import FocusTrace, LiveFrame, LivePlace
+from wafer_viewer.session.state.instrument_state import FocusTrace, LiveFrame, LivePlace
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 from wafer_viewer.store.dataset.ome_header import StagePicture
 

@@ -45,7 +45,7 @@ from wafer_viewer.session.acquisition.rig_messages import (
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command
-from wafer_viewer.session.state.live_state import LiveFrame
+from wafer_viewer.session.state.instrument_state import LiveFrame
 from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus, Snapshot
 
 Result = TypeVar("Result")
@@ -270,7 +270,7 @@ class RigClient:
 
     def _calibration(self, rig: str, own: Calibration | None) -> Calibration | None:
         """Return the calibration in force: a later correction if there is one, else the rig's own."""
-        from wafer_viewer.store.records.gauge_records import calibration_in_force
+        from wafer_viewer.store.records.calibration_records import calibration_in_force
 
         try:
             return calibration_in_force(self._command_queue.now.data_folder, rig, own)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.acquire.hand_drive import REST, JogVelocity
+from wafer_viewer.acquire.motion import REST, JogVelocity
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import Overview, Position
 from wafer_viewer.model.acquisition.plan import ScanPlan

@@ -13,10 +13,17 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.acquire.hand_drive import drive, jog
-from wafer_viewer.acquire.motion import at_um, come_to_rest, device_errors, move
+from wafer_viewer.acquire.motion import (
+    at_um,
+    come_to_rest,
+    device_errors,
+    drive,
+    jog,
+    move,
+    move_positioner,
+    read_positioners,
+)
 from wafer_viewer.acquire.pass_runner import require_devices, rig_at_rest
-from wafer_viewer.acquire.positioning import move_positioner, read_positioners
 from wafer_viewer.compute.child_process import ChildConnection, Request, run_in_background
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.plan import Axis

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.acquire.focus.tile_sharpness import sharpness, tile_peaks, touched_ends
+from wafer_viewer.acquire.focus.coarse_look import sharpness, tile_peaks, touched_ends
 from wafer_viewer.acquire.focus.windows import replanned, widened
-from wafer_viewer.acquire.motion import device_errors
-from wafer_viewer.acquire.positioning import read_positioners
+from wafer_viewer.acquire.motion import device_errors, read_positioners
 from wafer_viewer.acquire.scan_runner import ScanOutcome, run_scan
 from wafer_viewer.model.acquisition.devices import Position, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS
@@ -32,8 +31,7 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 from wafer_viewer.store.records.calibration_records import FOLDER as CALIBRATIONS
-from wafer_viewer.store.records.flat_fields import flat_field_in_force
-from wafer_viewer.store.records.gauge_records import calibration_in_force
+from wafer_viewer.store.records.calibration_records import calibration_in_force, flat_field_in_force
 
 REPORT_EVERY_S = 0.12
 SAME_PIXEL_FRACTION = 1e-6

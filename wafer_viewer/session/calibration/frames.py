@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.acquire.auto_exposure import exposure_at
-from wafer_viewer.acquire.axis_reference import reference_axes
 from wafer_viewer.acquire.commanded_frames import TakeFrame, frames_at_places
 from wafer_viewer.acquire.motion import device_errors, move
 from wafer_viewer.acquire.pass_runner import PassSettings, device_clock, rig_at_rest, run_pass
-from wafer_viewer.acquire.pulse_reconciliation import DeviceClock
+from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, reference_axes
 from wafer_viewer.calibrate.trigger_delay import sharpness
 from wafer_viewer.model.acquisition.characteristics import FOCUS_RANGE_UM
 from wafer_viewer.model.acquisition.devices import Rig

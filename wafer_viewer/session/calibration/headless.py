@@ -23,7 +23,7 @@ from wafer_viewer.session.calibration.procedures import (
 )
 from wafer_viewer.session.core.audit_trail import record
 from wafer_viewer.session.core.calibration_acceptance import CalibratedRigFacts, accept
-from wafer_viewer.store.records.gauge_records import calibration_in_force
+from wafer_viewer.store.records.calibration_records import calibration_in_force
 
 PROCEDURES: dict[CalibrationKind, Callable[..., Procedure[CalibrationResult]]] = {
     "delay": DelayProcedure,

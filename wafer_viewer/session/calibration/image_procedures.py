@@ -146,7 +146,7 @@ class MappingProcedure:
 
     def run(self, rig: Rig, control: ProcedureControl) -> CalibrationResult:
         """Move each patch over the field, and compare its places with those of the stage."""
-        from wafer_viewer.calibrate.mapping_deviation import grid_px, mapping_deviation, patch_px
+        from wafer_viewer.calibrate.image_geometry import grid_px, mapping_deviation, patch_px
 
         shape = rig.limits.camera.rows, rig.limits.camera.cols
         grid = grid_px(shape, self.n_rows, self.n_cols)
@@ -195,7 +195,7 @@ class MappingProcedure:
         control: ProcedureControl,
     ) -> Complexes:
         """Return the positions of one patch in the image, in pixels, NaN where it is not found."""
-        from wafer_viewer.calibrate.mapping_deviation import patch_position_px
+        from wafer_viewer.calibrate.image_geometry import patch_position_px
 
         centre, z_um = at
         reference = take(centre.real, centre.imag, z_um)
@@ -223,7 +223,7 @@ class ResolutionProcedure:
 
     def run(self, rig: Rig, control: ProcedureControl) -> CalibrationResult:
         """Scan the field over the range of the search for the focus, and evaluate the edge."""
-        from wafer_viewer.calibrate.edge_response import edge_response
+        from wafer_viewer.calibrate.topography import edge_response
 
         control.report(ProcedureStep(0.0, "Find the exposure"))
         site = exposed_site(rig, self.site, control.should_stop)

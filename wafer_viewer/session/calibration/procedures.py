@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.acquire.commanded_frames import TakeFrame, frames_at_places
-from wafer_viewer.calibrate.pixel_scale import LEAST_STEPS, Estimate, PixelScale, StageLine, pixel_scale
+from wafer_viewer.calibrate.image_geometry import LEAST_STEPS, Estimate, PixelScale, StageLine, pixel_scale
 from wafer_viewer.calibrate.trigger_delay import FocusSweepCurve, SweepPair, curve_shift_um, delay_error, sharpness
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.characteristics import CalibrationResult, Characteristic
@@ -113,7 +113,7 @@ class PixelProcedure:
     def _follow(
         self, take: TakeFrame, line: Complexes, focal_plane: FocalPlane, control: ProcedureControl, share: float
     ) -> StageLine:
-        from wafer_viewer.calibrate.frame_displacement import displacement_px
+        from wafer_viewer.calibrate.image_geometry import displacement_px
 
         moved_um, displaced_px = np.diff(line), np.full(len(line) - 1, np.nan, np.complex128)
         turned = self.in_force.pixel_um * np.exp(1j * self.in_force.camera_rotation_rad)

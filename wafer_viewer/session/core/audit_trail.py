@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.audit import Action, AuditEntry, Through
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.roles import Action, AuditEntry, Through
 from wafer_viewer.session.core.commands import query
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class AuditTrail:
 
         Raises DatasetError when the log was altered.
         """
-        from wafer_viewer.store.records.audit_log import recorded_actions
+        from wafer_viewer.store.records.signed_log import recorded_actions
 
         return recorded_actions(self._folder, subject)
 
@@ -71,7 +71,7 @@ def record(
     DatasetError when the log was altered, or cannot be written.
     """
     from wafer_viewer.store.io.checksums import file_sha256
-    from wafer_viewer.store.records.audit_log import record_action
+    from wafer_viewer.store.records.signed_log import record_action
 
     entry = AuditEntry(
         at=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
-from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.roles import Action
 from wafer_viewer.session.state.snapshot import Snapshot
 
 T = TypeVar("T")

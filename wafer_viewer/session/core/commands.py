@@ -15,8 +15,8 @@ from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
-from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import ControlHeldError, RoleError, WaferViewerError
+from wafer_viewer.model.roles import Action
 from wafer_viewer.session.core.command_queue import CommandQueue
 
 

@@ -18,8 +18,8 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.roles import Person
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import observer_command
-from wafer_viewer.session.core.page_password import WINDOW_S, AttemptLimit
 from wafer_viewer.session.core.people import engineers_of, listed_people, signed_in, tidy_name
+from wafer_viewer.session.core.private_file import WINDOW_S, AttemptLimit
 from wafer_viewer.session.state.snapshot import Browser, ControlState
 
 ANSWER_S = 15.0

@@ -26,9 +26,9 @@ from wafer_viewer.session.state.snapshot import Box, DatasetEntry, FieldState, F
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.dataset.retention import read_rule
 from wafer_viewer.store.io.checksums import sealed_text, verified_text
-from wafer_viewer.store.mosaic.layout import SURFACE
 from wafer_viewer.store.mosaic.statistics import MosaicStatistics, compute_statistics
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic.zarr_shards import SURFACE
 from wafer_viewer.store.records.manifest import load_record, require_as_saved, save_record_text
 
 if TYPE_CHECKING:

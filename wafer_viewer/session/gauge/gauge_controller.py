@@ -74,7 +74,7 @@ class GaugeController:
     @command
     def load_certificate(self, path: Path) -> Certificate:
         """Load the certificate in a TOML file. Raises MeasureError if it lacks what a check needs."""
-        from wafer_viewer.store.records.gauge_records import read_certificate
+        from wafer_viewer.store.records.calibration_records import read_certificate
 
         certificate = read_certificate(Path(path))
         self.put_certificate.run(certificate)
@@ -123,7 +123,7 @@ class GaugeController:
     @command.audited("Gauge check signed")
     def sign(self, operator: str) -> GaugeRecord:
         """Sign the check and store it in the log of the data folder and as a result of the open dataset."""
-        from wafer_viewer.store.records.gauge_records import sign
+        from wafer_viewer.store.records.calibration_records import sign
 
         state, shown = self.state, self._library.shown
         if state.signed is not None:
@@ -145,7 +145,7 @@ class GaugeController:
     @command.audited("Scale of z corrected")
     def correct_scale(self, operator: str, why: str = "") -> Calibration:
         """Set the rig's z scale from the signed check, for its next scans; existing scans do not change."""
-        from wafer_viewer.session.gauge.z_scale_correction import correct
+        from wafer_viewer.session.gauge.gauge_check import correct
 
         record, rig = self._signed_record(), self._command_queue.now.rig
         if record is None:
@@ -241,7 +241,7 @@ class GaugeController:
         return next((r for r in reversed(self.state.records) if signed is not None and r.check.at == signed.at), None)
 
     def _correction(self) -> ScaleCorrection | None:
-        from wafer_viewer.session.gauge.z_scale_correction import offered
+        from wafer_viewer.session.gauge.gauge_check import offered
 
         record, rig = self._signed_record(), self._command_queue.now.rig
         in_force = rig.calibration
@@ -263,7 +263,7 @@ def _check(state: GaugeState, records: tuple[GaugeRecord, ...]) -> GaugeCheck | 
 
 
 def _chart(records: tuple[GaugeRecord, ...]) -> RunChart | None:
-    from wafer_viewer.measure.gauge.run_chart import run_chart
+    from wafer_viewer.measure.gauge.gauge_studies import run_chart
 
     return run_chart(records)
 

@@ -17,7 +17,7 @@ from wafer_viewer.session.state.inspection_state import Faces
 from wafer_viewer.session.surface.headless import is_dataset
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.records.gauge_records import read_certificate, sign
+from wafer_viewer.store.records.calibration_records import read_certificate, sign
 
 
 class History(Spec, frozen=True, kw_only=True):
@@ -77,7 +77,7 @@ def _sign(folder: Path, line: GaugeRecord, operator: str) -> None:
 
 def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um: float | None) -> History:
     """Return the signed checks of a folder. Raises MeasureError if there are none, or of several pairs of blocks."""
-    from wafer_viewer.measure.gauge.run_chart import run_chart
+    from wafer_viewer.measure.gauge.gauge_studies import run_chart
 
     records = trusted_checks(folder, serials)
     records = records if rig is None else _of_rig(records, rig)

@@ -178,7 +178,7 @@ class Studies:
         verdict: one study for each feature of their job. tolerance: of a table's values, in their unit; scans have
         those of their job.
         """
-        from wafer_viewer.measure.gauge.gauge_rr import gauge_rr
+        from wafer_viewer.measure.gauge.gauge_studies import gauge_rr
         from wafer_viewer.store.tables.csv_tables import read_study
 
         path = Path(path).expanduser()
@@ -188,7 +188,7 @@ class Studies:
 
 
 def _of_scans(folder: Path, method: Method) -> tuple[Studied, ...]:
-    from wafer_viewer.measure.gauge.gauge_rr import study_rr
+    from wafer_viewer.measure.gauge.gauge_studies import study_rr
 
     made = studies_of([folder])
     return tuple(Studied(study.feature, study_rr(study, method), study.unit, study.simulated) for study in made)

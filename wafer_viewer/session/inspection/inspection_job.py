@@ -6,8 +6,9 @@ The reference data may be large. They are stored in a temporary file with the re
 from __future__ import annotations
 
 import hashlib
+import math
 import time
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,13 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
-from wafer_viewer.model.errors import ComputeError, WaferViewerError
+from wafer_viewer.model.acquisition.sample import Alignment, Sample
+from wafer_viewer.model.errors import ComputeError, DiesNotFound, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.golden_die import GoldenDie
+from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.core.dataset_library import today
-from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_or_why
+from wafer_viewer.session.surface.headless import LocalOrCluster, is_dataset, measured_surface
+from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.io.atomic_files import remove
 from wafer_viewer.store.mosaic.poses_file import read_planes, write_planes
 
@@ -34,9 +40,110 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.defects.golden_die import ReferenceDie
     from wafer_viewer.measure.defects.noise_model import NoiseModel
     from wafer_viewer.measure.dies.die_cells import Place
-    from wafer_viewer.model.surface.height_map import Mosaic
-    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.measure.dies.given_lattice_fit import FittedDies
     from wafer_viewer.store.dataset.result import Result
+
+
+# --------------------------------------------------------------------------------------------------- die lattice source
+
+
+Evidence = Literal["height", "picture", "both"]
+
+
+@dataclass(frozen=True, slots=True)
+class GivenDies:
+    """Die lattice given by an operator: pitch, lower left corner of die 0,0 (stage um) and size, or a job's file.
+
+    None: the dies of the dataset's own job, or detected on the surface; without a size dies are as large as their
+    pitch. as_given: the dies are not fitted to the surface.
+    """
+
+    pitch_um: tuple[float, float] | None = None
+    origin_um: tuple[float, float] | None = None
+    size_um: tuple[float, float] | None = None
+    angle_deg: float = 0.0
+    job: Path | None = None
+    as_given: bool = False
+
+    def __post_init__(self) -> None:
+        if (self.pitch_um is None) != (self.origin_um is None):
+            raise MeasureError("Dies are given by their pitch and the corner of one of them: give both, or neither.")
+        if self.pitch_um is None and (self.size_um is not None or self.angle_deg):
+            raise MeasureError("The size and the angle of dies go with their pitch and origin: give these too.")
+        if self.pitch_um is not None and self.job is not None:
+            raise MeasureError("Dies are given by a job or by their pitch and origin: leave --job or --pitch-um out.")
+
+    def on(self, surface: Mosaic, dataset_job: Job | None = None, evidence: Evidence = "both") -> FittedDies:
+        """Return the dies over a surface; `dataset_job`: the job that it was scanned by.
+
+        Raises MeasureError if there are none, PlanError for a job that cannot be read or lists its dies one by one.
+        """
+        from wafer_viewer.measure.dies.die_lattice import find_dies, over_surface
+        from wafer_viewer.measure.dies.given_lattice_fit import FittedDies
+
+        if self.pitch_um is not None:
+            fitted = self._fitted(surface, self._lattice(), evidence)
+            return FittedDies(over_surface(fitted.grid, surface), fitted.off)
+        named = self._of_file(dataset_job) if self.job is not None else dies_of_job(dataset_job)
+        return self._fitted(surface, named, evidence) if named else FittedDies(find_dies(surface, evidence=evidence))
+
+    def _fitted(self, surface: Mosaic, grid: DieGrid, evidence: Evidence) -> FittedDies:
+        from wafer_viewer.measure.dies.given_lattice_fit import FittedDies, fitted_dies
+
+        return FittedDies(grid) if self.as_given else fitted_dies(surface, grid, evidence)
+
+    def _lattice(self) -> DieGrid:
+        pitch_um, origin_um = self.pitch_um or (0.0, 0.0), self.origin_um or (0.0, 0.0)
+        width_um, height_um = self.size_um or pitch_um
+        return DieGrid(
+            pitch_x_um=pitch_um[0],
+            pitch_y_um=pitch_um[1],
+            x0_um=origin_um[0],
+            y0_um=origin_um[1],
+            width_um=width_um,
+            height_um=height_um,
+            angle_rad=math.radians(self.angle_deg),
+        )
+
+    def _of_file(self, dataset_job: Job | None) -> DieGrid:
+        """Return the dies of the job file, with the wafer alignment of the scan's own job if the file has none."""
+        from wafer_viewer.session.planning.job_releases import read_job
+
+        path = self.job or Path()
+        job = read_job(path)
+        if job.dies is None:
+            raise MeasureError(f"{path.name} names no dies: give --pitch-um and --origin-um, or leave --job out.")
+        if job.marks is not None and job.alignment is None:
+            if dataset_job is None or dataset_job.alignment is None:
+                raise MeasureError(
+                    f"{path.name} has its dies in wafer um and nothing says how the wafer lies on the stage: "
+                    "give --pitch-um and --origin-um instead of --job."
+                )
+            return DieGrid.of(job.dies, dataset_job.alignment)
+        return DieGrid.of(job.dies, job.alignment or Alignment())
+
+
+def dies_or_why(find: Callable[[], DieGrid], *, needed: bool) -> tuple[DieGrid | None, str]:
+    """Return the dies that `find` returns, or None and a short reason if it finds none.
+
+    Raises MeasureError if dies are needed, as for a golden die.
+    """
+    try:
+        return find(), ""
+    except DiesNotFound as fault:
+        if needed:
+            raise MeasureError(f"A golden die needs dies. {fault} Or compare with the fitted form.") from fault
+        return None, fault.brief
+
+
+def dies_of_job(job: Job | None) -> DieGrid | None:
+    """Return the dies named by a scan's own job; None if it has no lattice, or the wafer was not aligned."""
+    if job is None or job.dies is None or job.dies.listed or (job.marks is not None and job.alignment is None):
+        return None
+    return DieGrid.of(job.dies, job.alignment or Alignment())
+
+
+# ------------------------------------------------------------------------------------------------------- inspection job
 
 
 PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
@@ -231,3 +338,90 @@ def mosaic_mark(stored: Result) -> str:
     """Return a hash of the mosaic's metadata, which changes with recipe, frames or fields; a copy has the same one."""
     header = stored.mosaic_path / "zarr.json"
     return hashlib.sha256(header.read_bytes()).hexdigest()[:MARK_DIGITS] if header.exists() else ""
+
+
+# ------------------------------------------------------------------------------------------------------------- headless
+
+
+CLUSTER_PAYS_PX = 60_000_000
+"""Number of pixels from which starting own worker processes is faster, despite their start-up time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wafer:
+    """Surface to inspect, with wafer data; center_um: centre of the wafer on the stage."""
+
+    surface: Mosaic
+    calibrated: bool
+    sample: Sample = Sample()
+    center_um: tuple[float, float] = (0.0, 0.0)
+    job: Job | None = None
+    lies_in: tuple[Path, Path] | None = None
+    """Folders of its dataset and its result; None for a file."""
+    before: Inspection | None = None
+    """Earlier inspection, from which judgements are carried over."""
+
+
+def wafer_of(src: Path, result: str) -> Wafer:
+    """Return the stitched surface of a dataset, or that of a file. Raises DatasetError if there is none."""
+    from wafer_viewer.store.records.inspection_records import read_inspection
+
+    surface, calibrated = measured_surface(src, 0, result)
+    if not is_dataset(src):
+        return Wafer(surface, calibrated)
+    data = Dataset.open(src)
+    job = data.scan.job
+    center_um = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
+    folder = data.result(result).path
+    return Wafer(surface, calibrated, job.sample, center_um, job, (data.path, folder), read_inspection(folder))
+
+
+def inspected(
+    wafer: Wafer,
+    recipe: DefectRecipe,
+    given: GivenDies,
+    golden: GoldenDie | None,
+    against: str,
+    tell: Progress,
+    hire: LocalOrCluster = LocalOrCluster(),
+) -> Inspection:
+    """Inspect a surface for defects; the dies are given, from the job, or detected. `against` "form": without dies.
+
+    If no dies are found, the surface is compared with the fitted form, and a note gives the reason. Raises MeasureError
+    if nothing can be inspected.
+    """
+    from wafer_viewer.measure.defects.inspection import inspect
+    from wafer_viewer.store.records.inspection_records import carry_over
+
+    recipe_with_product = replace(recipe, product=recipe.product or wafer.sample.product)
+    grid, no_dies = None, NOT_BY_DIES
+    if against != "form":
+        grid, no_dies = dies_or_why(lambda: dies_on(wafer, given), needed=golden is not None)
+    with _rows_by(wafer, hire) as rows_by:
+        inspection = inspect(
+            wafer.surface,
+            grid,
+            recipe_with_product,
+            golden,
+            calibration_valid=wafer.calibrated,
+            progress=tell,
+            rows_by=rows_by,
+            no_dies=no_dies,
+        )
+    return inspection if wafer.before is None else carry_over(wafer.before, inspection)
+
+
+@contextmanager
+def _rows_by(wafer: Wafer, hire: LocalOrCluster) -> Generator[RowHands | None]:
+    """Provide the task runner for die rows; None if workers cannot read the surface themselves."""
+    if wafer.lies_in is None:
+        yield None
+        return
+    large = wafer.surface.shape[0] * wafer.surface.shape[1] >= CLUSTER_PAYS_PX
+    with hire.crew(math.inf if large else 0.0) as crew:
+        yield RowHands.of(crew, *wafer.lies_in)
+
+
+def dies_on(wafer: Wafer, given: GivenDies) -> DieGrid:
+    """Return the dies given by the operator, else those of the job, else the detected ones."""
+    return given.on(wafer.surface, wafer.job).grid

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from wafer_viewer.model.acquisition.plan import ScanPlan
-from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError, PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.job import Job
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.state.snapshot import JobEntry
 from wafer_viewer.store.io.checksums import file_sha256
 from wafer_viewer.store.io.guarded_reading import read_content
-from wafer_viewer.store.records.audit_log import recorded_actions
+from wafer_viewer.store.records.signed_log import recorded_actions
 
 FOLDER, ENDING = "jobs", ".toml"
 OF_ONE_WAFER = {"name": "", "lot": "", "wafer_id": "", "slot": 0, "operator": ""}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wafer_viewer.draw.colormaps import origin_table
-from wafer_viewer.draw.surface import ground_plane as grounds
 from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface import texture_baking as grounds
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light, eight_bit
 from wafer_viewer.draw.surface.mesh import jpeg, painted
 from wafer_viewer.draw.surface.texture_baking import (
@@ -29,9 +29,12 @@ from wafer_viewer.draw.surface.texture_baking import (
 )
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.rendering.render_refused import RefusedPoints, refused_in
+from wafer_viewer.session.rendering import render_comparisons, render_statistics
 from wafer_viewer.session.rendering.render_request import RenderRequest, pack_points
-from wafer_viewer.session.rendering.surface_source import SurfaceProvider, at_level, levelled
+from wafer_viewer.session.rendering.surface_source import RefusedPoints, SurfaceProvider, at_level, levelled, refused_in
+
+# ------------------------------------------------------------------------------------------------------ render pictures
+
 
 _BRIDGED_PX = 9
 """Width in pixels of gaps that a wall bridges around a measured pixel."""
@@ -228,3 +231,28 @@ def picture(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     look = replace(heights, colour_by="grey", colours="grey", hillshade=0.0) if grey else heights
     baked = bake(part, look, Light(light_gain(part.z_um, part.pixel_um), span))
     return jpeg(np.where(baked[..., 3:] > 0, baked[..., :3], _UNMEASURED), _QUALITY)
+
+
+# ------------------------------------------------------------------------------------------------------ render dispatch
+
+
+PAINTERS: dict[str, Callable[[SurfaceProvider, RenderRequest], bytes]] = {
+    "facts": render_statistics.facts,
+    "scale": render_statistics.scale,
+    "relief": render_statistics.relief,
+    "tile": tile,
+    "flat": flat,
+    "points": points,
+    "walls": walls,
+    "frame": frame,
+    "slice": stitched,
+    "picture": picture,
+    "beside": render_comparisons.comparison,
+    "die": render_comparisons.die,
+    "statistics": render_statistics.statistics,
+}
+
+
+def paint(provider: SurfaceProvider, request: RenderRequest) -> bytes:
+    """Execute a render request; no bytes when nothing is visible. Raises WaferViewerError."""
+    return PAINTERS[request.what](provider, request)

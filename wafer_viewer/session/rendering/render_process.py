@@ -20,7 +20,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.rendering.render_refused import PlacedField
+    from wafer_viewer.session.rendering.surface_source import PlacedField
 
 __all__ = ["Painter", "RenderRequest", "SurfaceKey"]
 
@@ -129,12 +129,12 @@ def _settle_in() -> None:
 
 def _warm_up() -> None:
     """Import the modules for the first picture while the page is still loading."""
-    importlib.import_module("wafer_viewer.session.rendering.render_dispatch")
+    importlib.import_module("wafer_viewer.session.rendering.render_pictures")
 
 
 def paint_from_store(request: RenderRequest) -> bytes:
     """Execute a request from the datasets on disk, in the render process."""
-    from wafer_viewer.session.rendering.render_dispatch import paint
+    from wafer_viewer.session.rendering.render_pictures import paint
 
     return paint(_STORE, request)
 
@@ -157,7 +157,7 @@ _STORE = _StoreShelf()
 
 @lru_cache(maxsize=4)
 def _fields(source: SurfaceKey) -> list[PlacedField]:
-    from wafer_viewer.session.rendering.render_refused import placed_fields
+    from wafer_viewer.session.rendering.surface_source import placed_fields
 
     return placed_fields(source)
 

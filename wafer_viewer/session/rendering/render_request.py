@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Form, Light
 from wafer_viewer.draw.surface.mesh import Skirts
 from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.surface.clipping import Clip, LeftOut, Span
 
 Place = tuple[int, int]

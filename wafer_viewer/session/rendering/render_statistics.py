@@ -18,7 +18,6 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip, Span
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, pixel_window
 from wafer_viewer.session.core.dataset_library import unmeasured_reasons
-from wafer_viewer.session.rendering.render_refused import count_refused
 from wafer_viewer.session.rendering.render_request import (
     Brushed,
     CoarseHeightField,
@@ -33,6 +32,7 @@ from wafer_viewer.session.rendering.surface_source import (
     at_level,
     coarse,
     coarse_level,
+    count_refused,
     levelled,
 )
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic

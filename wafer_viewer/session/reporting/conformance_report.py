@@ -9,9 +9,13 @@ from wafer_viewer.model.acquisition.conformance import ConformanceReport, Confor
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.quantity import Word
 from wafer_viewer.model.report import Report, ReportSection, Table
-from wafer_viewer.store.records.conformance_reports import VerifiedConformance, verified_report, write_signed
-from wafer_viewer.store.records.report_file import report_html
-from wafer_viewer.store.records.signing_key import known_public_key, public_key, signing_key
+from wafer_viewer.store.records.conformance_reports import (
+    VerifiedConformance,
+    report_html,
+    verified_report,
+    write_signed,
+)
+from wafer_viewer.store.records.signed_log import known_public_key, public_key, signing_key
 
 HEADS = ("Check", "Verdict", "Measured", "Demand")
 CELLS = {"passed": "PASS", "failed": "FAIL", "not run": "not run"}

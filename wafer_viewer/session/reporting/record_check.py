@@ -8,17 +8,16 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.session.gauge.gauge_check import trusted_checks
 from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.records.audit_log import AUDIT_LOG
-from wafer_viewer.store.records.gauge_records import CALIBRATIONS, GAUGE_LOG, CalibrationChange
+from wafer_viewer.store.records.calibration_records import CALIBRATIONS, GAUGE_LOG, CalibrationChange
 from wafer_viewer.store.records.manifest import keys_of, least_log_lengths
-from wafer_viewer.store.records.signed_log import read_log
+from wafer_viewer.store.records.signed_log import AUDIT_LOG, read_log
 
 LOGS: dict[str, type[Spec]] = {
     GAUGE_LOG: GaugeRecord,

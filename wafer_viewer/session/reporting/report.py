@@ -98,7 +98,7 @@ def make_report(
 
     Raises DatasetError when the folder is no dataset or `out` cannot be written, ComputeError when the work is stopped.
     """
-    from wafer_viewer.store.records.report_file import write_report
+    from wafer_viewer.store.records.conformance_reports import write_report
 
     write_report(report_of(folder, result, order, progress=progress, should_stop=should_stop), out)
     return out

@@ -12,7 +12,6 @@ from wafer_viewer.draw.quantities import UNIT_SIGNS, explained_quantity, row_tex
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.positioners import ROLES, PositionerReading
-from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
@@ -23,6 +22,7 @@ from wafer_viewer.model.measurement.result_rows import rows, spaced, title_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
@@ -292,7 +292,7 @@ def gather(folder: Path, result_name: str) -> Material:
 
 def _audited(dataset: Dataset) -> tuple[tuple[AuditEntry, ...], str]:
     """Return the entries of the audit log on a dataset, after the release of its job; or none, and the reason."""
-    from wafer_viewer.store.records.audit_log import recorded_actions
+    from wafer_viewer.store.records.signed_log import recorded_actions
 
     folder = dataset.path.absolute().parent
     try:

@@ -17,13 +17,11 @@ from wafer_viewer.draw.number_format import digits_of_u, number, share
 from wafer_viewer.draw.quantities import display_unit, explained_quantity
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.texture_baking import bake, light_gain
-from wafer_viewer.model.audit import AuditEntry
 from wafer_viewer.model.errors import DatasetError, MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect import Defect, Inspection, verdict_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
-from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.measurement.sections import SectionRequest
@@ -31,6 +29,7 @@ from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Sheet, Table
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.reporting.report_data import (
     Material,

@@ -10,22 +10,20 @@ from typing import Literal
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.exposure import FoundExposure
 from wafer_viewer.model.acquisition.focus_following import FieldFocus
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field, ScanPlan, Shot
 from wafer_viewer.model.acquisition.positioners import PositionerState
+from wafer_viewer.model.acquisition.procedure import FoundExposure
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.audit import Action
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.job import Job, Notebook, Trial, WaferVerdict
-from wafer_viewer.model.roles import Role, refusal
+from wafer_viewer.model.roles import Action, Role, refusal
 from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.state.calibration_state import CalibrationState
 from wafer_viewer.session.state.inspection_state import DefectFilesState, GaugeState, InspectionState
-from wafer_viewer.session.state.live_state import LiveState
+from wafer_viewer.session.state.instrument_state import CalibrationState, LiveState
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,8 @@ from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mo
 from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result
-from wafer_viewer.store.mosaic.layout import MosaicHeader
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic.zarr_shards import MosaicHeader
 
 OPEN_SURFACES = 600
 """Maximum number of memory-mapped surfaces; a growing mosaic needs all of them at each update.

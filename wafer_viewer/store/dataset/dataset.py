@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.calibration import ImageShading
 from wafer_viewer.model.acquisition.devices import PulseSummary
-from wafer_viewer.model.acquisition.flat_field import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Image
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
@@ -51,7 +51,7 @@ from wafer_viewer.store.dataset.scan_record import (
     read_record,
 )
 from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
-from wafer_viewer.store.records.flat_fields import read_flat_field
+from wafer_viewer.store.records.calibration_records import read_flat_field
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset.compression import CompressionReport

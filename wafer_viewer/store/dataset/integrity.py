@@ -32,7 +32,7 @@ from wafer_viewer.store.io.checksums import (
 )
 from wafer_viewer.store.io.file_lock import ANNOUNCEMENT
 from wafer_viewer.store.io.format_version import with_version
-from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
 from wafer_viewer.store.mosaic.statistics import facts_state
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
@@ -191,7 +191,7 @@ def _is_ignored(reader: JournalReader, number: int) -> bool:
 
 
 def _shard_state(path: Path) -> Checksum:
-    Shards(np.dtype(np.uint8), 0, layout.CHUNK, layout.SHARD).require_good(path)
+    Shards(np.dtype(np.uint8), 0, zarr_shards.CHUNK, zarr_shards.SHARD).require_good(path)
     return Checksum.GOOD
 
 

@@ -18,8 +18,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors, remove_dead_parts
-from wafer_viewer.store.io.file_lock import FileLock, announced, is_locked, try_lock
-from wafer_viewer.store.io.process_identity import Process, this_process
+from wafer_viewer.store.io.file_lock import FileLock, Process, announced, is_locked, this_process, try_lock
 
 _TRIES, _PAUSE_S = 5, 0.02
 """Number of attempts, and pause in s: `holder_of` locks the file briefly itself, so one refusal is no proof."""

@@ -22,9 +22,8 @@ import msgspec
 import numpy as np
 
 from wafer_viewer._version import __version__
-from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.calibration import Calibration, FlatField, OpticalSetup
 from wafer_viewer.model.acquisition.devices import PulseSummary
-from wafer_viewer.model.acquisition.flat_field import FlatField
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
 from wafer_viewer.model.acquisition.plan import Field, Leg, ScanPlan, Shot
 from wafer_viewer.model.acquisition.positioners import PositionerReading

@@ -13,7 +13,7 @@ from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, WRITTEN, eve
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface_format import imported
-from wafer_viewer.store.formats.embedded_metadata import caveats
+from wafer_viewer.store.formats.reader_support import caveats
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.atomic_files import atomic_write
 

@@ -19,9 +19,9 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import caveats
+from wafer_viewer.store.formats.reader_support import caveats
 from wafer_viewer.store.io.atomic_files import atomic_write, require_free
-from wafer_viewer.store.mosaic.layout import COARSEST_PX, NGFF_SCENE_VERSION, OWN, SURFACE
+from wafer_viewer.store.mosaic.zarr_shards import COARSEST_PX, NGFF_SCENE_VERSION, OWN, SURFACE
 
 if TYPE_CHECKING:
     import zarr

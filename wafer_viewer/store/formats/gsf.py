@@ -11,8 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, provenance_of, title
-from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, scaled
+from wafer_viewer.store.formats.reader_support import (
+    OURS,
+    ReadOptions,
+    about,
+    heights_only,
+    parse_metadata,
+    provenance_of,
+    scaled,
+    title,
+)
 from wafer_viewer.store.formats.surface_strips import Strips
 
 MAGIC = b"Gwyddion Simple Field 1.0\n"

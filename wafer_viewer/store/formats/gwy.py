@@ -18,8 +18,18 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.store.formats.embedded_metadata import OURS, about, parse_metadata, provenance_of, title
-from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only, require_some, scaled
+from wafer_viewer.store.formats.reader_support import (
+    OURS,
+    UNITS_UM,
+    ReadOptions,
+    about,
+    heights_only,
+    parse_metadata,
+    provenance_of,
+    require_some,
+    scaled,
+    title,
+)
 from wafer_viewer.store.formats.surface_strips import Strips
 
 MAGIC = b"GWYP"

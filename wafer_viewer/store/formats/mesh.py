@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, caveats, heading
 from wafer_viewer.store.formats.point_gridding import eight_bits, points_of
+from wafer_viewer.store.formats.reader_support import about, caveats, heading
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

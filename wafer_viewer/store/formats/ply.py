@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import OURS, heading, parse_metadata, provenance_of
 from wafer_viewer.store.formats.point_gridding import (
     AT_A_TIME,
     Block,
@@ -26,7 +25,7 @@ from wafer_viewer.store.formats.point_gridding import (
     text_records,
     units_of,
 )
-from wafer_viewer.store.formats.reader_support import ReadOptions
+from wafer_viewer.store.formats.reader_support import OURS, ReadOptions, heading, parse_metadata, provenance_of
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _POINT = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3), ("origin", "u1"), ("confidence", "<f4")])

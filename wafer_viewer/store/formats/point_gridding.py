@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.store.formats.embedded_metadata import EmbeddedMetadata
-from wafer_viewer.store.formats.reader_support import UNITS_UM, ReadOptions, heights_only
+from wafer_viewer.store.formats.reader_support import UNITS_UM, EmbeddedMetadata, ReadOptions, heights_only
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.guarded_reading import limit
 

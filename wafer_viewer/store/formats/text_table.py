@@ -12,9 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.store.formats.embedded_metadata import OURS, EmbeddedMetadata, heading, parse_metadata, provenance_of
 from wafer_viewer.store.formats.point_gridding import Block, PointCloud, surface_of_points, units_of
-from wafer_viewer.store.formats.reader_support import ReadOptions
+from wafer_viewer.store.formats.reader_support import (
+    OURS,
+    EmbeddedMetadata,
+    ReadOptions,
+    heading,
+    parse_metadata,
+    provenance_of,
+)
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _BYTES_AT_A_TIME = 16_000_000

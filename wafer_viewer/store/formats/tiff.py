@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, parse_metadata, provenance_of
-from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only, same, scaled
+from wafer_viewer.store.formats.reader_support import (
+    ReadOptions,
+    about,
+    heights_only,
+    parse_metadata,
+    provenance_of,
+    same,
+    scaled,
+)
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.guarded_reading import opened_tiff, require_unpacked
 

@@ -19,8 +19,14 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.embedded_metadata import about, caveats, parse_metadata, provenance_of
-from wafer_viewer.store.formats.reader_support import ReadOptions, heights_only
+from wafer_viewer.store.formats.reader_support import (
+    ReadOptions,
+    about,
+    caveats,
+    heights_only,
+    parse_metadata,
+    provenance_of,
+)
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
 from wafer_viewer.store.io.guarded_reading import require_unpacked
 

@@ -14,12 +14,12 @@ from functools import cache
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.pyramid_layers import EXTREMES, N_COVERED, N_ORIGIN, N_OVERLAP, OVERLAP
+from wafer_viewer.model.surface.height_map import EXTREMES, N_COVERED, N_ORIGIN, N_OVERLAP, OVERLAP
 from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
-from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.layout import GROUP, levels_of
+from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.statistics import FACTS, blocks_with_heights
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic.zarr_shards import GROUP, levels_of
 
 HEIGHTS = ("z_um", "z_raw_um", "origin")
 """Layers that measurements depend on."""
@@ -102,7 +102,7 @@ def _missing_finer_shards(
         children = {(2 * row + r, 2 * col + c) for r in (0, 1) for c in (0, 1)} - finer
         if children:
             array = mosaic.array(name, level)
-            half = layout.SHARD // layout.CHUNK // 2
+            half = zarr_shards.SHARD // zarr_shards.CHUNK // 2
             chunks = array.shards.places(_path(mosaic, name, level, (row, col)))
             occupied = {(2 * row + r // half, 2 * col + c // half) for r, c in chunks}
             yield from (_path(mosaic, name, level - 1, place) for place in sorted(children & occupied))
@@ -110,7 +110,7 @@ def _missing_finer_shards(
 
 def _missing_by_statistics(mosaic: ZarrMosaic) -> Iterator[Path]:
     """Yield missing height shards of level 0 that contain heights according to the statistics."""
-    per_shard = layout.SHARD // (2 * layout.CHUNK)
+    per_shard = zarr_shards.SHARD // (2 * zarr_shards.CHUNK)
     wanted = {(row // per_shard, col // per_shard) for row, col in blocks_with_heights(mosaic.path, mosaic.shape)}
     for name in ("z_um", "origin"):
         shards = _shards(mosaic.path / name / "0")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.store.io.atomic_files import atomic_write, make_folder
 from wafer_viewer.store.io.checksums import Checksum, remedy
-from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.zarr_shards import CHECKSUM_BYTES, append_checksum, require_checksum
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _blocks_of(layers: Layers, step: int) -> Blocks:
     """Return the statistics of each block of a window of level 0 that begins at a block boundary."""
     from wafer_viewer.numerics.filters.regions import count_codes
 
-    size = 2 * layout.CHUNK
+    size = 2 * zarr_shards.CHUNK
     rows, cols = layers["z_um"].shape
     blocks = np.empty((-(-rows // size), -(-cols // size)), _record(step))
     for row, col in np.ndindex(blocks.shape):
@@ -88,7 +88,7 @@ def _blocks_of(layers: Layers, step: int) -> Blocks:
 
 def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
     """Return the Zarr array parameters of the statistics: one chunk of bytes per shard of level 1."""
-    rows, cols = (math.ceil(size / 2 / layout.SHARD) for size in shape)
+    rows, cols = (math.ceil(size / 2 / zarr_shards.SHARD) for size in shape)
     n_bytes = _per_shard() ** 2 * _record(_step(shape)).itemsize
     from zarr.codecs import Crc32cCodec
 
@@ -106,7 +106,7 @@ def save_statistics(mosaic: Path, shape: tuple[int, int], top: int, left: int, l
 
     It begins at pixel (top, left), a block boundary, and is within one shard of level 1.
     """
-    size, n = 2 * layout.CHUNK, _per_shard()
+    size, n = 2 * zarr_shards.CHUNK, _per_shard()
     row, col = top // size, left // size
     path = mosaic / FACTS / "c" / str(row // n) / str(col // n) / "0"
     blocks = _blocks_of(layers, _step(shape))
@@ -161,12 +161,12 @@ def _has_checksums(mosaic: Path) -> bool:
 
 def _per_shard() -> int:
     """Return the number of blocks along a side of a shard."""
-    return layout.SHARD // layout.CHUNK
+    return zarr_shards.SHARD // zarr_shards.CHUNK
 
 
 def _record(step: int) -> np.dtype[Any]:
     """Return the record dtype of a block."""
-    side = -(-2 * layout.CHUNK // step)
+    side = -(-2 * zarr_shards.CHUNK // step)
     sample = ("<f4", (side, side))
     return np.dtype(
         [

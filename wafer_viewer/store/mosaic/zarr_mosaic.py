@@ -26,6 +26,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import (
+    EXTREMES,
     HeightLayer,
     HeightMap,
     Heights,
@@ -36,18 +37,22 @@ from wafer_viewer.model.surface.height_map import (
     picture_of,
     pixel_window,
 )
-from wafer_viewer.model.surface.pyramid_layers import EXTREMES
 from wafer_viewer.store.io.atomic_files import atomic_write, os_errors_as_dataset_errors, write_text
 from wafer_viewer.store.io.checksums import Checksum, damaged, remedy, sealed_node, text_state
-from wafer_viewer.store.mosaic import layout
-from wafer_viewer.store.mosaic.layout import (
+from wafer_viewer.store.mosaic import zarr_shards
+from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
+from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, load_statistics, save_statistics
+from wafer_viewer.store.mosaic.zarr_shards import (
     FILLS,
     GROUP,
     NOT_IN_OLDER,
     OWN,
     SURFACE,
     MosaicHeader,
+    ShardedArray,
     as_json,
+    codecs,
+    cut,
     header_of,
     levels_for,
     levels_of,
@@ -55,9 +60,6 @@ from wafer_viewer.store.mosaic.layout import (
     ome_of_root,
     shards_of,
 )
-from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
-from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, load_statistics, save_statistics
-from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, codecs, cut
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.grids.pyramid_level import Layers
@@ -95,8 +97,8 @@ class Patch:
         ends = min(2 * self.bottom, shape[0]), min(2 * self.right, shape[1])
         return [
             (rows, cols)
-            for rows in cut(2 * self.top, ends[0], layout.SHARD)
-            for cols in cut(2 * self.left, ends[1], layout.SHARD)
+            for rows in cut(2 * self.top, ends[0], zarr_shards.SHARD)
+            for cols in cut(2 * self.left, ends[1], zarr_shards.SHARD)
         ]
 
 
@@ -119,9 +121,9 @@ def _patches(level: int, shape: tuple[int, int], windows: Sequence[Window]) -> l
     """Return the patches of a level that cover some of its windows: one for each shard."""
     hulls: dict[tuple[int, int], tuple[int, int, int, int]] = {}
     for rows, cols in windows:
-        for part_r in cut(rows.start, min(rows.stop, shape[0]), layout.SHARD):
-            for part_c in cut(cols.start, min(cols.stop, shape[1]), layout.SHARD):
-                shard = part_r.start // layout.SHARD, part_c.start // layout.SHARD
+        for part_r in cut(rows.start, min(rows.stop, shape[0]), zarr_shards.SHARD):
+            for part_c in cut(cols.start, min(cols.stop, shape[1]), zarr_shards.SHARD):
+                shard = part_r.start // zarr_shards.SHARD, part_c.start // zarr_shards.SHARD
                 here = part_r.start, part_r.stop, part_c.start, part_c.stop
                 hulls[shard] = _hull(hulls.get(shard, here), here)
     return [_aligned(level, shape, hull) for _, hull in sorted(hulls.items())]
@@ -134,7 +136,7 @@ def _hull(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[i
 def _aligned(level: int, shape: tuple[int, int], hull: tuple[int, int, int, int]) -> Patch:
     """Return the patch of all chunks in a bounding box."""
     top, bottom, left, right = hull
-    chunk = layout.CHUNK
+    chunk = zarr_shards.CHUNK
     bottom, right = (min(-(-end // chunk) * chunk, size) for end, size in zip((bottom, right), shape, strict=True))
     return Patch(level, top // chunk * chunk, bottom, left // chunk * chunk, right)
 
@@ -191,8 +193,8 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
                     str(level),
                     shape=header.shape_of(level),
                     dtype=shards_of(name, header, level).dtype,
-                    chunks=(layout.CHUNK, layout.CHUNK),
-                    shards=(layout.SHARD, layout.SHARD),
+                    chunks=(zarr_shards.CHUNK, zarr_shards.CHUNK),
+                    shards=(zarr_shards.SHARD, zarr_shards.SHARD),
                     compressors=codecs(),
                     fill_value=fill,
                     dimension_names=("y", "x"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,48 @@ import msgspec
 
 from wafer_viewer.model.acquisition.conformance import ConformanceReport, ReportSignature, SignedConformance
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.report import Report
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import load_json, save_json
-from wafer_viewer.store.records.signing_key import is_signed, public_key
+from wafer_viewer.store.records.signed_log import is_signed, public_key
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from jinja2 import Template
+
+
+# ---------------------------------------------------------------------------------------------------------- report file
+
+
+TEMPLATE = "report.html.j2"
+
+
+def report_html(report: Report) -> str:
+    """Return the HTML text; all strings from people or files are escaped."""
+    return _template().render(report=report)
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write the report atomically. Raises DatasetError when the path cannot be written to."""
+    write_text(path, report_html(report))
+
+
+@cache
+def _template() -> Template:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(TEMPLATE)
+
+
+# -------------------------------------------------------------------------------------------------- conformance reports
+
 
 PAGE, RECORD = ".html", ".json"
 

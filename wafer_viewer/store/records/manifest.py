@@ -40,12 +40,12 @@ from wafer_viewer.store.io.checksums import (
 )
 from wafer_viewer.store.io.file_lock import locked
 from wafer_viewer.store.io.format_version import raise_schema
-from wafer_viewer.store.records.signed_log import log_lengths
-from wafer_viewer.store.records.signing_key import (
+from wafer_viewer.store.records.signed_log import (
     KEPT_IN,
     KEY_FILE,
     KNOWN_KEYS,
     is_signed,
+    log_lengths,
     public_key,
     signing_key,
     trusted_keys,

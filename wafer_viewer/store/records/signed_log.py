@@ -9,11 +9,16 @@ What a log cannot prove: a log that is removed, or replaced by an older state, t
 The manifests of datasets hold how many records each log had when they were signed, so that a shorter one is noticed
 beside a dataset that was signed later. Who has the key can sign anything. Reports name the number of records and the
 key; keep them elsewhere.
+
+The key is made at the first signature, readable by its owner only, and stays on this machine: a copy of the folder
+without it can verify, but not sign. A signature shows that somebody with the key signed; not who that was, nor that the
+figures are true.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,7 +28,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.spec import Spec, Within, decode
+from wafer_viewer.store.io.atomic_files import atomic_write, make_folder
 from wafer_viewer.store.io.checksums import (
     Checksum,
     append_bytes,
@@ -35,17 +42,99 @@ from wafer_viewer.store.io.checksums import (
     strip_checksum,
 )
 from wafer_viewer.store.io.file_lock import locked
-from wafer_viewer.store.records.signing_key import (
-    KEPT_IN,
-    KNOWN_KEYS,
-    is_signed,
-    public_key,
-    signing_key,
-    trusted_keys,
-)
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+
+# ---------------------------------------------------------------------------------------------------------- signing key
+
+
+KEPT_IN = ".wafer-viewer"
+"""Folder in a data folder of what belongs to the program on this machine: key, page token, heads of logs."""
+KEY_FILE = "conformance-key.pem"
+KNOWN_KEYS = "known-keys.txt"
+"""File in a data folder with other public keys that are trusted, hex, one a line; what follows one is a comment."""
+OWNER_ONLY = 0o600
+_PUBLIC = re.compile(r"[0-9a-f]{64}")
+
+
+def signing_key(folder: Path) -> Ed25519PrivateKey:
+    """Return the key of a data folder, made at the first call and readable by its owner only.
+
+    Raises DatasetError when it cannot be written or read.
+    """
+    path = folder / KEPT_IN / KEY_FILE
+    if not path.exists():
+        _make_key(path)
+    return _read_key(path)
+
+
+def known_public_key(folder: Path) -> str:
+    """Return the public key of a data folder, hex; an empty text if it has none."""
+    path = folder / KEPT_IN / KEY_FILE
+    return public_key(_read_key(path)) if path.exists() else ""
+
+
+def public_key(key: Ed25519PrivateKey) -> str:
+    """Return the public key, hex."""
+    return key.public_key().public_bytes_raw().hex()
+
+
+def trusted_keys(folder: Path) -> frozenset[str]:
+    """Return the public keys that records of a data folder may be signed with; empty if any may.
+
+    A folder without a key of its own is a copy: there is nothing to compare with.
+    """
+    own = known_public_key(folder)
+    if not own:
+        return frozenset()
+    path = folder / KNOWN_KEYS
+    listed = path.read_text("utf-8", "replace").lower().split("\n") if path.exists() else []
+    return frozenset((own, *(found[0] for line in listed if (found := _PUBLIC.match(line.strip())))))
+
+
+def is_signed(content: bytes, key: str, value: str) -> bool:
+    """Return whether a signature fits; key: public, hex; value: hex."""
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+    try:
+        Ed25519PublicKey.from_public_bytes(bytes.fromhex(key)).verify(bytes.fromhex(value), content)
+    except (InvalidSignature, ValueError):
+        return False
+    return True
+
+
+def _make_key(path: Path) -> None:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+    content = Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    make_folder(path.parent)
+    with (
+        atomic_write(path) as temporary,
+        os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, OWNER_ONLY), "wb") as file,
+    ):
+        file.write(content)
+
+
+def _read_key(path: Path) -> Ed25519PrivateKey:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    mend = "restore it from a copy, or remove it for a new one"
+    try:
+        key = load_pem_private_key(path.read_bytes(), None)
+    except (OSError, ValueError, TypeError) as fault:
+        raise DatasetError(f"{path} holds no key ({fault}): {mend}.") from fault
+    if not isinstance(key, Ed25519PrivateKey):
+        raise DatasetError(f"{path} holds another kind of key: {mend}.")
+    return key
+
+
+# ----------------------------------------------------------------------------------------------------------- signed log
+
 
 S = TypeVar("S", bound=Spec)
 HEAD, LOCK = ".head", ".lock"
@@ -215,3 +304,23 @@ def _signed_bytes(before: bytes, text: bytes) -> bytes:
 
 def _head_bytes(n_lines: int, sha256: str) -> bytes:
     return f"head of {n_lines} lines, {sha256}".encode()
+
+
+# ------------------------------------------------------------------------------------------------------------ audit log
+
+
+AUDIT_LOG = "audit.jsonl"
+
+
+def record_action(folder: Path, entry: AuditEntry) -> None:
+    """Append an entry. Raises DatasetError when the log was altered, or cannot be written."""
+    append_record(folder / AUDIT_LOG, entry)
+
+
+def recorded_actions(folder: Path, subject: str = "") -> tuple[AuditEntry, ...]:
+    """Return the entries of a data folder, oldest first, optionally of one dataset, job or file.
+
+    Raises DatasetError when a line is damaged, or the log was altered.
+    """
+    entries = read_log(folder / AUDIT_LOG, AuditEntry).records
+    return tuple(entry for entry in entries if not subject or entry.subject == subject)

@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.scene.frustum import AABB, Frustum
-from wafer_viewer.gui.scene.quadtree import FINEST_LEVEL, MOST_ROOTS, Ground, leaves, roots
+from wafer_viewer.gui.scene.quadtree import AABB, FINEST_LEVEL, MOST_ROOTS, Frustum, Ground, leaves, roots
 
 PIXEL_MM = 0.5e-3
 SCREEN = 900, 800
