@@ -11,7 +11,6 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
-from wafer_viewer.reconstruct.registration.pair_registration import with_pooled_drift
 from wafer_viewer.store.mosaic.poses_file import read_poses, write_poses, write_poses_csv
 
 NUMBERS = np.random.default_rng(1)
@@ -42,18 +41,14 @@ def test_poses_come_back_as_they_were(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(getattr(stored, item.name), value)
 
 
-def test_poses_of_an_earlier_version_open_without_the_drift_of_their_overlaps(tmp_path: Path) -> None:
+def test_poses_without_a_column_are_named_with_the_mend(tmp_path: Path) -> None:
     file = tmp_path / "poses.npz"
     write_poses(some_poses(), file)
     with np.load(file) as stored:
-        earlier = {name: stored[name] for name in stored.files if name.startswith(("shifts.", "seams.", "form."))}
-        earlier |= {name: stored[name] for name in stored.files if "." not in name}
-    del earlier["shifts.drift"]
-    np.savez(file, **earlier)
-    shifts = read_poses(file).shifts
-    assert shifts.drift.shape == (4, 5)
-    assert np.isnan(shifts.drift).all()
-    np.testing.assert_array_equal(with_pooled_drift(shifts).u_x_um, earlier["shifts.u_x_um"])
+        kept = {name: stored[name] for name in stored.files if name != "shifts.drift"}
+    np.savez(file, **kept)
+    with pytest.raises(DatasetError, match=r"poses\.npz holds no poses that can be read: stitch the fields again"):
+        read_poses(file)
 
 
 def test_a_torn_file_is_named(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from tests.support.direct_pyramid import assert_level, with_gaps
 from wafer_viewer.measure.base.height_samples import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import COUNTS, Origin
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.missing_shards import missing_files
@@ -345,35 +345,12 @@ def test_uncertainties_are_kept_and_averaged_on_the_way_up(tmp_path, surface):
     assert np.isnan(stored.window(level=2).u_um[0, 0])
 
 
-def test_a_mosaic_of_an_earlier_version_is_read_and_goes_on_without_uncertainties(tmp_path, surface):
-    stored = write_mosaic(
-        tmp_path / "m.zarr", dataclasses.replace(surface, u_um=np.full(surface.shape, 0.2, np.float32))
-    )
-    shutil.rmtree(stored.path / "u_um")
-    old = ZarrMosaic.open(stored.path)
-    assert old.window().u_um is None
-    np.testing.assert_array_equal(old.window().z_um, surface.z_um)
-    for patch in patches(surface.shape):
-        write_patch(old.path, surface, patch)
-    assert old.window(level=1).u_um is None
-    assert not (old.path / "u_um").exists()
-    assert list(missing_files(old)) == []
-
-
-def test_a_mosaic_of_an_earlier_version_without_counts_is_read_and_can_be_written(tmp_path, surface):
+@pytest.mark.parametrize("layer", ["u_um", "n_origin"])
+def test_a_mosaic_without_a_layer_is_named_with_the_mend(tmp_path, surface, layer):
     stored = write_mosaic(tmp_path / "m.zarr", surface)
-    assert stored.is_current
-    for name in COUNTS:
-        shutil.rmtree(stored.path / name)
-    old = ZarrMosaic.open(stored.path)
-    assert not old.is_current
-    for level in range(stored.levels):
-        assert_same_surface(old.window(level=level), stored.window(level=level))
-    for patch in patches(surface.shape):
-        write_patch(old.path, surface, patch)
-    assert not (old.path / "n_origin").exists()
-    assert_same_surface(old.window(), surface)
-    assert list(missing_files(old)) == []
+    shutil.rmtree(stored.path / layer)
+    with pytest.raises(DatasetError, match=rf"m\.zarr/{layer}.* is missing or damaged: stitch the fields again"):
+        ZarrMosaic.open(stored.path).layers(1, slice(0, 8), slice(0, 8))
 
 
 def test_a_small_defect_is_seen_at_the_top(tmp_path):

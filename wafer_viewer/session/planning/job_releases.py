@@ -138,9 +138,9 @@ def _releases(folder: Path) -> dict[str, AuditEntry]:
 
 
 def _is_edited(path: Path, releases: dict[str, AuditEntry]) -> bool:
-    """Return whether a file is not the one that was released; releases of earlier versions have no digest."""
+    """Return whether a file is not the one that was released."""
     entry = releases.get(path.name)
-    return entry is not None and bool(entry.sha256) and entry.sha256 != file_sha256(path)
+    return entry is not None and entry.sha256 != file_sha256(path)
 
 
 def write_released(folder: Path, job: Job) -> Path:

@@ -135,11 +135,6 @@ class StitchingInputs:
         return (None, None) if poses is None else (poses, header)
 
     @property
-    def mosaic_is_current(self) -> bool:
-        """True if the mosaic on disk has all layers of this version."""
-        return ZarrMosaic.open(self.stored.mosaic_path).is_current
-
-    @property
     def surfaces(self) -> Surfaces:
         """Height maps, each opened on access."""
         return Surfaces(self.stored, self.fields)

@@ -204,8 +204,6 @@ def _windows_to_draw(
     if previous.poses is None:
         return None
     windows = inputs.windows(previous, poses, moved)
-    if windows and not inputs.mosaic_is_current:
-        return None
     if final and not windows and not is_mosaic_good(inputs.stored.mosaic_path):
         return None
     return windows

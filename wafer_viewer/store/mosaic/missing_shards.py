@@ -19,7 +19,7 @@ from wafer_viewer.store.io.checksums import KnownGood, file_mark, remedy
 from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.statistics import FACTS, blocks_with_heights
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
-from wafer_viewer.store.mosaic.zarr_shards import GROUP, levels_of
+from wafer_viewer.store.mosaic.zarr_shards import FILLS, GROUP, levels_of
 
 HEIGHTS = ("z_um", "z_raw_um", "origin")
 """Layers that measurements depend on."""
@@ -55,7 +55,7 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
         When a file that the check needs is damaged.
     """
     shards_of = cache(_shards)
-    for name in HEIGHTS if heights_only else mosaic.layer_names:
+    for name in HEIGHTS if heights_only else FILLS:
         levels = levels_of(name, mosaic.header)
         shards = {level: shards_of(mosaic.path / name / str(level)) for level in levels}
         for level in levels[1:]:
@@ -64,7 +64,7 @@ def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator
                 wanted = {(row // 2, col // 2) for row, col in shards[level - 1]}
                 yield from (_path(mosaic, name, level, place) for place in sorted(wanted - shards[level]))
     for name, implying in IMPLIED.items():
-        if name in mosaic.layer_names and not (heights_only and name != "origin"):
+        if not heights_only or name == "origin":
             for level in levels_of(name, mosaic.header):
                 lacks = shards_of(mosaic.path / implying / str(level)) - shards_of(mosaic.path / name / str(level))
                 yield from (_path(mosaic, name, level, place) for place in sorted(lacks))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, no_candidates, unknown_drift
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
 from wafer_viewer.store.io.archives import Archive, open_archive
 from wafer_viewer.store.io.atomic_files import atomic_write
 from wafer_viewer.store.io.checksums import remedy, seal_archive
@@ -25,15 +25,6 @@ PLACES = (
     *("u_x_um", "u_y_um", "u_z_um"),
 )
 _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": HeightOffsets, "form": Form}
-
-
-_LATER: dict[str, Callable[[Archive], NDArray[Any]]] = {
-    "shifts.covariance_um2": lambda archive: np.zeros(len(archive.array("shifts.first"))),
-    "shifts.candidates": lambda archive: no_candidates(len(archive.array("shifts.first"))),
-    "shifts.drift": lambda archive: unknown_drift(len(archive.array("shifts.first"))),
-    "period_odds_nats": lambda _: np.zeros(0),
-}
-"""Values of columns that files of earlier versions do not have."""
 
 
 def write_poses(poses: Poses, path: Path) -> None:
@@ -91,8 +82,7 @@ def _built(kind: type[Any], archive: Archive, prefix: str, **given: Any) -> Any:
     for item in dataclasses.fields(kind):
         if item.name not in given:
             key = prefix + item.name
-            array = archive.array(key) if key in archive else _LATER[key](archive)
-            values[item.name] = _value(array, str(item.type))
+            values[item.name] = _value(archive.array(key), str(item.type))
     return kind(**values)
 
 

@@ -6,9 +6,7 @@ the blocks of one of its shards, uncompressed.
 
 from __future__ import annotations
 
-import json
 import math
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -114,7 +112,7 @@ def save_statistics(mosaic: Path, shape: tuple[int, int], top: int, left: int, l
     stored[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
     make_folder(path.parent)
     with atomic_write(path) as temporary:
-        temporary.write_bytes(append_checksum(stored.tobytes()) if _has_checksums(mosaic) else stored.tobytes())
+        temporary.write_bytes(append_checksum(stored.tobytes()))
 
 
 def load_statistics(mosaic: Path, shape: tuple[int, int]) -> MosaicStatistics:
@@ -145,18 +143,8 @@ def facts_state(path: Path) -> Checksum:
     try:
         require_checksum(path.read_bytes())
     except ValueError:
-        with suppress(DatasetError):
-            return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
         return Checksum.DAMAGED
     return Checksum.GOOD
-
-
-def _has_checksums(mosaic: Path) -> bool:
-    """Return whether the statistics chunks of a mosaic have checksums; those of older versions do not."""
-    damaged = DatasetError(f"{mosaic / FACTS} is missing or damaged: {remedy(mosaic)}.")
-    with parser_errors_as(lambda _: damaged):
-        made = json.loads((mosaic / FACTS / "zarr.json").read_bytes())
-        return any(codec["name"] == "crc32c" for codec in made["codecs"])
 
 
 def _per_shard() -> int:
@@ -196,12 +184,10 @@ def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
     n = _per_shard()
     damaged = DatasetError(f"{path} is damaged: {remedy(path)}.")
     with parser_errors_as(lambda _: damaged):
-        n_bytes = path.stat().st_size
-        if n_bytes not in (n * n * record.itemsize, n * n * record.itemsize + CHECKSUM_BYTES):
+        if path.stat().st_size != n * n * record.itemsize + CHECKSUM_BYTES:
             raise damaged
         content = path.read_bytes()
-        if n_bytes > n * n * record.itemsize:
-            require_checksum(content)
+        require_checksum(content)
         return np.frombuffer(content, record, n * n).reshape(n, n)
 
 

@@ -45,7 +45,6 @@ from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_
 from wafer_viewer.store.mosaic.zarr_shards import (
     FILLS,
     GROUP,
-    NOT_IN_OLDER,
     OWN,
     SURFACE,
     MosaicHeader,
@@ -227,8 +226,7 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left
     layers: Layers = {
-        name: np.full(shape, FILLS[name], shards_of(name, stored.header, patch.level).dtype)
-        for name in stored.layer_names
+        name: np.full(shape, FILLS[name], shards_of(name, stored.header, patch.level).dtype) for name in FILLS
     }
     below = partial(_drawn, stored, source) if patch.level == 1 else partial(stored.layers, patch.level - 1)
     for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
@@ -266,7 +264,7 @@ def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Laye
     x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
     part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
     unknown = np.full(part.shape, np.nan, np.float32)
-    held = ((name, getattr(part, name)) for name in SURFACE if name in stored.layer_names)
+    held = ((name, getattr(part, name)) for name in SURFACE)
     layers: Layers = {name: unknown if layer is None else layer for name, layer in held}
     _write_layers(stored, 0, rows.start, cols.start, layers)
     with os_errors_as_dataset_errors(stored.path):
@@ -336,16 +334,6 @@ class ZarrMosaic:
         return self.header.provenance
 
     @cached_property
-    def layer_names(self) -> tuple[str, ...]:
-        """Names of its layers; one of an earlier version lacks those of `NOT_IN_OLDER`."""
-        return tuple(name for name in FILLS if name not in NOT_IN_OLDER or (self.path / name).is_dir())
-
-    @property
-    def is_current(self) -> bool:
-        """True if it has the layers of this version, so that parts of it can be written again."""
-        return set(self.layer_names) == set(FILLS)
-
-    @cached_property
     def poses(self) -> Poses | None:
         """Field poses from the enclosing result; None if it has none."""
         file = self.path.parent / POSES
@@ -357,7 +345,7 @@ class ZarrMosaic:
         Raises MeasureError when the region is outside, DatasetError when there is no such level.
         """
         rows, cols = self._window(region, level)
-        layers = {name: self.read(name, level, rows, cols) for name in SURFACE if name in self.layer_names}
+        layers = {name: self.read(name, level, rows, cols) for name in SURFACE}
         pixel_um, x0_um, y0_um = self._lattice(level, rows, cols)
         return HeightMap(
             **layers, refused=None, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance
@@ -394,7 +382,7 @@ class ZarrMosaic:
 
     def layers(self, level: int, rows: slice, cols: slice) -> Layers:
         """Return a part of all layers of a level."""
-        names = [name for name in self.layer_names if level in levels_of(name, self.header)]
+        names = [name for name in FILLS if level in levels_of(name, self.header)]
         return {name: self.read(name, level, rows, cols) for name in names}
 
     def read(self, name: str, level: int, rows: slice, cols: slice) -> NDArray[Any]:

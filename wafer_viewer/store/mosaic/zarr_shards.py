@@ -295,8 +295,6 @@ FILLS: dict[str, float] = {
     "u_um": math.nan,
     **dict.fromkeys(COUNTS, 0),
 }
-NOT_IN_OLDER = ("u_um", *COUNTS)
-"""Layers that mosaics of earlier versions lack."""
 NGFF_VERSION = "0.5"
 """Version of OME-NGFF for Zarr 3."""
 NGFF_SCENE_VERSION = "0.6"
