@@ -2,9 +2,9 @@
 
 from ._version import __version__ as __version__
 from .measure.base.levelled_surface import levelled as levelled
+from .measure.defects.defect_builder import repeated_places as repeated_places
 from .measure.defects.inspection import golden_of_surface as golden_of_surface
 from .measure.defects.inspection import inspect as inspect
-from .measure.defects.repeaters import repeated_places as repeated_places
 from .measure.dies.die_lattice import find_dies as find_dies
 from .measure.dies.die_status import statuses as statuses
 from .measure.dies.given_lattice_fit import fitted_dies as fitted_dies
@@ -99,10 +99,10 @@ from .session.surface.worker_tasks import write_fields as write_fields
 from .store.dataset.dataset import Dataset as Dataset
 from .store.dataset.stack_import import import_dataset as import_dataset
 from .store.dataset.stack_import import open_stack as open_stack
-from .store.formats.exporters import export as export
-from .store.formats.exporters import write_surface as write_surface
+from .store.formats.conversion import export as export
+from .store.formats.conversion import read_surface as read_surface
+from .store.formats.conversion import write_surface as write_surface
 from .store.formats.npz_file import read_npz as read_npz
-from .store.formats.readers import read_surface as read_surface
 from .store.records.calibration_records import calibration_records as calibration_records
 from .store.records.calibration_records import read_certificate as read_certificate
 from .store.records.golden_dies import open_golden as open_golden

@@ -17,8 +17,7 @@ from tests.bench.big_mosaic import BLOCKS_PX, RESULT, big_dataset
 from tests.bench.harness import Cell, alone, highest, own_mb, read_options, show, took
 from wafer_viewer.model.file_formats import FORMATS, READ
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.formats.exporters import export
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import export, read_surface
 
 QUICK_PX = 1024
 

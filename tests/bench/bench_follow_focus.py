@@ -22,9 +22,8 @@ from wafer_viewer.acquire.focus.coarse_look import LookForFocus
 from wafer_viewer.acquire.focus.windows import plan_following
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.measure.truth_comparison import quality
-from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, FollowFocus
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import FOLLOW_FOCUS, Field, FieldGrid, FocusSweep, FollowFocus, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe

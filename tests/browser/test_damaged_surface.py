@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.browser.steps import go_to, notes, press, text_field
 from tests.browser.test_exchange import a_part
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.conversion import export
 
 pytestmark = [
     pytest.mark.browser,

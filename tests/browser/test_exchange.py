@@ -12,8 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.browser.steps import eventually, press, text_field, type_into
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.formats.exporters import export
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import export, read_surface
 
 pytestmark = [
     pytest.mark.browser,

@@ -14,7 +14,7 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.reviewed_session import reviewed_session
 from tests.browser.sessions.stitched_session import StitchedSession
 from tests.browser.steps import eventually, go_to, notes, numbers, press, text_field, title_is
-from wafer_viewer.gui.overlays.screenshot import PRINT_WIDTH_PX
+from wafer_viewer.gui.overlays.toolbar import PRINT_WIDTH_PX
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region

@@ -25,8 +25,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
-from wafer_viewer.store.formats.exporters import export
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import export, read_surface
 from wafer_viewer.store.records.golden_dies import save_golden
 
 pytestmark = [

@@ -12,7 +12,8 @@ from tests.browser.kept_page import a_page
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.fake_session import FakeSession
 from wafer_viewer.gui.app import start
-from wafer_viewer.session.core.network_access import NetworkAccess, page_certificate
+from wafer_viewer.session.core.network_access import NetworkAccess
+from wafer_viewer.session.core.page_certificate import page_certificate
 from wafer_viewer.session.core.private_file import PasswordHash
 
 pytestmark = pytest.mark.browser

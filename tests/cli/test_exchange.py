@@ -9,8 +9,7 @@ import pytest
 
 from tests.support.datasets.samples import CALIBRATION, make_surface
 from wafer_viewer.cli.app import main
-from wafer_viewer.store.formats.exporters import export
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import export, read_surface
 
 
 @pytest.fixture

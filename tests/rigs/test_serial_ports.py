@@ -12,8 +12,8 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from wafer_viewer.model.errors import PulseBoxRestarted, RigError
+from wafer_viewer.rigs.composed.rig import ReopenedPort, SystemClock, open_port
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
-from wafer_viewer.rigs.serial_ports import ReopenedPort, SystemClock, open_port
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.pulse_box_firmware import VirtualPulseBox
 from wafer_viewer.rigs.virtual.rig import virtual_limits

@@ -22,9 +22,8 @@ from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.job_releases import free_place
 from wafer_viewer.session.planning.plan_editor import suggested_name
-from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.conversion import export, read_surface
 from wafer_viewer.store.formats.npz_file import read_npz
-from wafer_viewer.store.formats.readers import read_surface
 from wafer_viewer.store.formats.x3p import CHECKSUM
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses
 from wafer_viewer.store.records.golden_dies import open_golden, save_golden

@@ -28,9 +28,8 @@ from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.image_files import pictures, preview
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.conversion import export, read_surface
 from wafer_viewer.store.formats.npz_file import read_npz
-from wafer_viewer.store.formats.readers import read_surface
 from wafer_viewer.store.io.checksums import strip_checksum
 from wafer_viewer.store.io.guarded_reading import FACTOR, read_content
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses

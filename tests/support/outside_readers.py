@@ -44,9 +44,8 @@ from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.image_files import pictures, preview
 from wafer_viewer.store.dataset.lock import holder_of
-from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.conversion import export, is_surface_file, read_surface
 from wafer_viewer.store.formats.npz_file import read_npz
-from wafer_viewer.store.formats.readers import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses, write_planes
 from wafer_viewer.store.mosaic.statistics import load_statistics
 from wafer_viewer.store.records.calibration_records import (

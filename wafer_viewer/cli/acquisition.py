@@ -168,8 +168,8 @@ def exposure(
         bracket: Take the proposed bracket instead of the single exposure, if there is one.
         json: Print JSON instead of sentences.
     """
-    from wafer_viewer.session.acquisition.exposure_search import write_exposures
     from wafer_viewer.session.acquisition.headless import find_exposure
+    from wafer_viewer.session.acquisition.live_controller import write_exposures
     from wafer_viewer.session.planning.job_releases import read_job
 
     job = read_job(plan_file)
@@ -247,9 +247,9 @@ def scan(
     """
     from wafer_viewer.session.acquisition.headless import scan_to
     from wafer_viewer.session.core.people import acting_person, name_of, role_of
-    from wafer_viewer.session.planning.headless import job_of_wafer
     from wafer_viewer.session.planning.job_releases import require_released
     from wafer_viewer.session.planning.preflight import require_passed
+    from wafer_viewer.session.planning.revision_trial import job_of_wafer
 
     folder = out.absolute().parent
     person = acting_person(folder, "Scan made", operator, "--operator")
@@ -278,7 +278,7 @@ def scan(
 
 def _judged(out: Path, job: Job) -> int:
     """Reconstruct the surface of a released job, print its verdict, and return the exit status."""
-    from wafer_viewer.session.planning.headless import stored_verdict_of
+    from wafer_viewer.session.planning.revision_trial import stored_verdict_of
     from wafer_viewer.session.surface.headless import make_surface
 
     with progress("Surface") as tell:
@@ -315,7 +315,7 @@ def import_(
     from wafer_viewer.model.surface_format import Reading
     from wafer_viewer.session.files.file_jobs import import_surface
     from wafer_viewer.store.dataset.stack_import import import_dataset
-    from wafer_viewer.store.formats.readers import is_surface_file
+    from wafer_viewer.store.formats.conversion import is_surface_file
 
     require_sources(src)
     if len(src) == 1 and is_surface_file(src[0]):
@@ -549,8 +549,8 @@ def release(
         dry_run: Only say what would change; release nothing.
     """
     from wafer_viewer.session.core.people import acting_person, name_of, require_reason
-    from wafer_viewer.session.planning.headless import job_to_release, tried
     from wafer_viewer.session.planning.job_releases import write_released
+    from wafer_viewer.session.planning.revision_trial import job_to_release, tried
 
     names, folder = {"product": product, "revision": revision}, data.expanduser()
     person = None if dry_run else acting_person(folder, "Job released", by)
@@ -574,7 +574,7 @@ def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:
         dataset: The dataset, stitched.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.planning.headless import stored_verdict_of
+    from wafer_viewer.session.planning.revision_trial import stored_verdict_of
 
     verdict = stored_verdict_of(dataset, result)
     print_json(msgspec.to_builtins(verdict))

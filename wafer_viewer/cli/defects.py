@@ -81,7 +81,7 @@ def measure_defects(
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as help by default.
     """
-    from wafer_viewer.measure.defects.repeaters import repeated_places
+    from wafer_viewer.measure.defects.defect_builder import repeated_places
 
     given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), LocalOrCluster(scheduler, workers)
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)

@@ -61,7 +61,7 @@ def reconstruct(
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
     from wafer_viewer.session.surface.headless import LocalOrCluster, surface_of
-    from wafer_viewer.store.formats.exporters import require_format
+    from wafer_viewer.store.formats.conversion import require_format
 
     require_sources(src)
     require_format(out)
@@ -169,7 +169,7 @@ def convert(
     """
     from wafer_viewer.model.surface_format import Reading
     from wafer_viewer.session.surface.headless import file_or_mosaic
-    from wafer_viewer.store.formats.exporters import density, require_format
+    from wafer_viewer.store.formats.conversion import density, require_format
 
     require_format(out)
     if every is not None and max_points is not None:
@@ -183,7 +183,7 @@ def convert(
 
 def _write(surface: Mosaic, out: Path, every: int | None = None) -> None:
     """Write a surface to a file; warn about content that the format cannot hold."""
-    from wafer_viewer.store.formats.exporters import density, export, losses
+    from wafer_viewer.store.formats.conversion import density, export, losses
 
     every = every or density(surface, out)
     with progress("Writing") as tell:
@@ -268,7 +268,7 @@ def compare(
 
 def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, out: Path | None) -> Comparison:
     from wafer_viewer.session.surface.comparison_job import compare_files, keep_difference
-    from wafer_viewer.store.formats.exporters import export, losses, require_format
+    from wafer_viewer.store.formats.conversion import export, losses, require_format
 
     if out is not None and not out.suffix:
         if Path(one.path).suffix != ".wafer" or out.name != str(out):

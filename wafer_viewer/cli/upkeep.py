@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from wafer_viewer.model.roles import Action
-    from wafer_viewer.session.files.old_frames import OldFrames
+    from wafer_viewer.session.files.frame_check import OldFrames
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.scan_record import RetentionLine
 
@@ -79,7 +79,7 @@ def tidy(
         reason: Reason, for the record; needed where people are listed.
     """
     from wafer_viewer.session.core.people import acting_person, name_of, require_reason
-    from wafer_viewer.session.files.old_frames import old_frames, rule_of
+    from wafer_viewer.session.files.frame_check import old_frames, rule_of
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.retention import remove_frames
 

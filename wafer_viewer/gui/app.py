@@ -38,7 +38,7 @@ from wafer_viewer.session.files.file_jobs import read_report
 from wafer_viewer.session.files.support_bundle import viewer_log
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.core.network_access import PageCertificate
+    from wafer_viewer.session.core.page_certificate import PageCertificate
     from wafer_viewer.session.session import Session
 
 with contextlib.suppress(ImportError):

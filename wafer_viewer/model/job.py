@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-from wafer_viewer.model.acquisition.focus_following import FollowFocus
-from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, FollowFocus
 from wafer_viewer.model.acquisition.sample import Alignment, Marks, Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.findings import AnyResult

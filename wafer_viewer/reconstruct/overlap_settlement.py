@@ -16,8 +16,7 @@ from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Rejectio
 from wafer_viewer.model.surface.height_map import HeightMap, Outline
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.reconstruct.pose_graph.candidate_choice import choose_candidates
-from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
-from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positions, PreviousSolution, solve_positions
 from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import look_again, with_pooled_drift

@@ -10,16 +10,14 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.acquisition.focus_following import CoarseLook
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, CoarseLook
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
-from wafer_viewer.session.acquisition.exposure_search import ExposureController
-from wafer_viewer.session.acquisition.live_controller import LiveController
+from wafer_viewer.session.acquisition.live_controller import ExposureController, LiveController
 from wafer_viewer.session.acquisition.rig_client import RigCallbacks, RigClient
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Move, OverviewReady, RigReady, Scan, ScanEnded
 from wafer_viewer.session.calibration.calibration_controller import CalibrationController

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Concatenate, Generic, ParamSpec, TypeVar
 
 from wafer_viewer.rigs.rig_config import RigConfig
-from wafer_viewer.session.acquisition.exposure_search import ExposureController
-from wafer_viewer.session.acquisition.live_controller import LiveController
+from wafer_viewer.session.acquisition.live_controller import ExposureController, LiveController
 from wafer_viewer.session.acquisition.rig_client import RigClient
 from wafer_viewer.session.calibration.calibration_controller import CalibrationController
 from wafer_viewer.session.coordinator import SessionCoordinator

@@ -7,7 +7,7 @@ import pytest
 from tests.bench.bench_follow_focus import SWEEP, fields_of, quality_of
 from tests.support.bowed_wafer import BowedWafer
 from wafer_viewer.acquire.focus.windows import fields_in_focus
-from wafer_viewer.model.acquisition.focus_following import CoarseLook, FocusCell, FocusPlace, FollowFocus
+from wafer_viewer.model.acquisition.plan import CoarseLook, FocusCell, FocusPlace, FollowFocus
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 
 

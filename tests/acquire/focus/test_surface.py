@@ -7,7 +7,7 @@ import pytest
 
 from wafer_viewer.acquire.focus.coarse_look import spread
 from wafer_viewer.acquire.focus.surface import part_centres, predicted_ranges
-from wafer_viewer.model.acquisition.focus_following import FocusCell, FocusPlace
+from wafer_viewer.model.acquisition.plan import FocusCell, FocusPlace
 from wafer_viewer.model.errors import RigError
 
 FIELD_UM, U_UM = (670.0, 500.0), 1.2

@@ -8,8 +8,16 @@ import pytest
 from tests.support.focused_plane import Quiet, focused_rig
 from wafer_viewer.acquire.focus.coarse_look import LookForFocus, more_places, sharpness, tile_peaks, touched_ends
 from wafer_viewer.acquire.focus.windows import LEAST_FRAMES, fields_in_focus, plan_following, widened, windowed
-from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, CoarseLook, FocusCell, FocusPlace, FollowFocus
-from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import (
+    FOLLOW_FOCUS,
+    CoarseLook,
+    Field,
+    FieldGrid,
+    FocusCell,
+    FocusPlace,
+    FocusSweep,
+    FollowFocus,
+)
 from wafer_viewer.model.errors import MotionStopped, PlanError, RigError
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 

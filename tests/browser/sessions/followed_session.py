@@ -9,8 +9,15 @@ import numpy as np
 
 from tests.browser.sessions import fake_session as fake
 from wafer_viewer.acquire.focus.coarse_look import spread
-from wafer_viewer.model.acquisition.focus_following import CoarseLook, FocusCell, FocusPlace, FollowFocus
-from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import (
+    CoarseLook,
+    Field,
+    FieldGrid,
+    FocusCell,
+    FocusPlace,
+    FocusSweep,
+    FollowFocus,
+)
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.plan_editor import focus_of, plan_of

@@ -10,7 +10,7 @@ from wafer_viewer.gui.defects import die_views as stacked
 from wafer_viewer.gui.defects import reference_view as beside
 from wafer_viewer.gui.overlays.hud import SheetRoom
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.measure.defects.repeaters import repeated_places
+from wafer_viewer.measure.defects.defect_builder import repeated_places
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.rendering.render_request import ComparisonView, ComparisonViews, DiePicture
 

@@ -9,8 +9,7 @@ import pytest
 
 from tests.support.made_up_sections import hill, section_of
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
-from wafer_viewer.gui.measure.profile_dock import CursorMove, parse_cursor_event, parse_drag
-from wafer_viewer.gui.measure.profile_section import LineVerbs
+from wafer_viewer.gui.measure.profile_views import CursorMove, LineVerbs, parse_cursor_event, parse_drag
 from wafer_viewer.gui.presenters.measurement import head
 from wafer_viewer.gui.state.view_state import PlotView, View, changed, with_cursor
 from wafer_viewer.model.errors import MeasureError

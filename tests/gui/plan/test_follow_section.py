@@ -8,7 +8,7 @@ import pytest
 
 from tests.browser.sessions.fake_session import planned
 from tests.browser.sessions.followed_session import followed as a_followed_plan
-from wafer_viewer.gui.presenters import focus as words
+from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.scenes.plan_scene import plan_contents
 from wafer_viewer.gui.state.view_state import View
 

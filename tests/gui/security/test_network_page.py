@@ -19,7 +19,8 @@ from websockets.exceptions import InvalidStatus
 from wafer_viewer.gui.security.access_guard import AccessGuard
 from wafer_viewer.gui.security.server import close_server, open_server
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.session.core.network_access import NetworkAccess, page_certificate
+from wafer_viewer.session.core.network_access import NetworkAccess
+from wafer_viewer.session.core.page_certificate import page_certificate
 from wafer_viewer.session.core.private_file import MOST_OF_ALL, MOST_OF_ONE, WINDOW_S, AttemptLimit, PasswordHash
 
 HOST = "127.0.0.2"

@@ -13,7 +13,7 @@ from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.defects.defect_section import DefectSection
 from wafer_viewer.gui.defects.die_views import DefectMap, DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside
-from wafer_viewer.gui.overlays.screenshot import PrintPicture
+from wafer_viewer.gui.overlays.toolbar import PrintPicture
 from wafer_viewer.gui.report import ReportPanel
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.shell.saved_views import SavedViews

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.datasets.inspections import GRID, defect, inspection
-from wafer_viewer.measure.defects.repeaters import repeated_places
+from wafer_viewer.measure.defects.defect_builder import repeated_places
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.quantity import Length

@@ -14,7 +14,7 @@ from wafer_viewer.model.surface.field_poses import (
     no_seams,
     unknown_drift,
 )
-from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution, freeze_unmoved_fields
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import PreviousSolution, freeze_unmoved_fields
 from wafer_viewer.reconstruct.registration.pair_registration import with_own_drift, with_pooled_drift
 
 

@@ -22,7 +22,7 @@ import pytest
 
 from tests.rigs.stages.conftest import axis_config, small_limits
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.serial_ports import SystemClock, open_port
+from wafer_viewer.rigs.composed.rig import SystemClock, open_port
 from wafer_viewer.rigs.stages.controllers import CONTROLLERS
 from wafer_viewer.rigs.stages.grbl import GrblController
 from wafer_viewer.rigs.stages.motion_controller import ControllerAxis

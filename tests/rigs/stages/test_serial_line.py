@@ -10,7 +10,7 @@ from contextlib import suppress
 import pytest
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.serial_ports import SystemClock, open_port
+from wafer_viewer.rigs.composed.rig import SystemClock, open_port
 from wafer_viewer.rigs.stages import grbl, pi_gcs2, zaber
 from wafer_viewer.rigs.stages.motion_controller import LONGEST_LINE, SerialLine
 

@@ -11,7 +11,7 @@ from tests.support.plans import die_beside_its_trench
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.errors import MotionStopped, PlanError, RigError
 from wafer_viewer.model.spec import encode, replace
-from wafer_viewer.session.acquisition.exposure_search import write_exposures
+from wafer_viewer.session.acquisition.live_controller import write_exposures
 from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.planning.plan_editor import UNCONFIRMED
 

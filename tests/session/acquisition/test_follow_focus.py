@@ -7,8 +7,7 @@ import pytest
 import tifffile
 
 from tests.support.focused_plane import COLS, ROWS, Quiet, focused_rig
-from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, FollowFocus
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import FOLLOW_FOCUS, FieldGrid, FocusSweep, FollowFocus
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.session.acquisition.headless import scan_to

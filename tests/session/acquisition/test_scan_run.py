@@ -23,8 +23,8 @@ from wafer_viewer.session.acquisition.scan_run import (
     run_scan_job,
     writer_of,
 )
-from wafer_viewer.session.planning.headless import job_of_wafer
 from wafer_viewer.session.planning.plan_editor import plan_of
+from wafer_viewer.session.planning.revision_trial import job_of_wafer
 from wafer_viewer.store.dataset.dataset import Dataset
 
 

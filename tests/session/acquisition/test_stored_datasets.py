@@ -13,7 +13,7 @@ import wafer_viewer as wv
 from wafer_viewer.__main__ import main
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 from wafer_viewer.session.acquisition.headless import scan_to
-from wafer_viewer.session.planning.headless import job_of_wafer
+from wafer_viewer.session.planning.revision_trial import job_of_wafer
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import frames_file
 from wafer_viewer.store.io.format_version import SCHEMA, version_of

@@ -18,10 +18,11 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from wafer_viewer.model.errors import DatasetError, PlanError, WaferViewerError
-from wafer_viewer.session.core import network_access as certificates
 from wafer_viewer.session.core import network_access as module
+from wafer_viewer.session.core import page_certificate as certificates
 from wafer_viewer.session.core import private_file as passwords
-from wafer_viewer.session.core.network_access import NetworkOptions, is_loopback, network_access, page_certificate
+from wafer_viewer.session.core.network_access import NetworkOptions, is_loopback, network_access
+from wafer_viewer.session.core.page_certificate import page_certificate
 from wafer_viewer.session.core.private_file import PasswordHash, password_in, store_password, stored_password
 
 GOOD = "correct horse battery"

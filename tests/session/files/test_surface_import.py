@@ -16,7 +16,7 @@ from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.headless import file_or_mosaic, measured_surface
 from wafer_viewer.session.surface.headless import make_surface as make_again
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.conversion import export
 
 
 def imported(tmp_path, ending=".x3p", **provenance):

@@ -30,7 +30,7 @@ from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.measurement.results import default_name
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import read_surface
 from wafer_viewer.store.tables.csv_tables import findings_csv
 from median_height import MedianHeight, MedianHeightOptions
 

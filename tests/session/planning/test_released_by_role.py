@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 
 from tests.session.conftest import small_job
@@ -11,7 +9,7 @@ from tests.support.datasets.released import engineered, release_of
 from wafer_viewer.model.errors import PlanError, RoleError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.session.core.audit_trail import AuditTrail, record
+from wafer_viewer.session.core.audit_trail import AuditTrail
 from wafer_viewer.session.core.background_work import Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.planning.job_releases import list_released, release_problem, write_released
@@ -143,13 +141,3 @@ def test_who_edits_the_log_as_well_releases_nothing(bench):
     bench.hold("o")
     with pytest.raises(Exception, match=r"damaged|altered"):
         bench.jobs.take_up(path).result()
-
-
-def test_jobs_of_earlier_versions_stay_released_where_nobody_is_listed(bench):
-    path = write_released(bench.folder, release_of(small_job()))
-    record(bench.folder, "Job released", path.name)  # as before there were digests
-    (entry,) = list_released(bench.folder)
-    assert not entry.edited
-    bench.jobs.take_up(path).result()
-    assert bench.job.released
-    assert dataclasses.astuple(entry)[1:3] == ("wafer", "A")

@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.datasets.samples import make_job, make_plan
 from wafer_viewer.model.errors import DatasetError, DiskFullError
-from wafer_viewer.session.planning.headless import stored_verdict_of
+from wafer_viewer.session.planning.revision_trial import stored_verdict_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.writer import DatasetWriter

@@ -19,7 +19,7 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.ome_header import StagePicture, write_stage_picture
 from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
 from wafer_viewer.store.dataset.writer import DatasetWriter
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import read_surface
 
 STEP = {"z_step_um": 2.0, "pixel_um": 0.5}
 FLAGS = ("--z-step-um", "2", "--pixel-um", "0.5")

@@ -13,9 +13,8 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import WRITTEN
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.store.formats.exporters import caveats, export
+from wafer_viewer.store.formats.conversion import caveats, export, read_surface
 from wafer_viewer.store.formats.npz_file import read_npz
-from wafer_viewer.store.formats.readers import read_surface
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 TEXTS = [ending for ending in WRITTEN if ending not in (".npz", ".glb")]

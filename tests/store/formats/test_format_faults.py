@@ -16,8 +16,7 @@ from PIL import Image
 from tests.support.datasets.samples import make_surface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import READ
-from wafer_viewer.store.formats.exporters import export
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import export, read_surface
 
 Z = np.arange(12, dtype="<f4").reshape(3, 4)
 

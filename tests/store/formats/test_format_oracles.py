@@ -15,8 +15,7 @@ import pytest
 from tests.store.formats.test_formats import letter_f
 from wafer_viewer.model.file_formats import WRITTEN
 from wafer_viewer.numerics.open3d_library import load_open3d
-from wafer_viewer.store.formats.exporters import export
-from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.formats.conversion import export, read_surface
 
 PLACE = {"pixel_um": 0.5, "x0_um": 1000.25, "y0_um": 2000.75}
 LOW, HIGH = (1000.25, 1971.25, 0.0), (1039.75, 2000.75, 40.915)

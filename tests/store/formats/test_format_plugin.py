@@ -10,7 +10,7 @@ import pytest
 from tests.support.datasets.samples import make_surface
 from tests.support.paths import ROOT
 from tests.support.plugin_packages import run_with, write_package
-from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.conversion import export
 
 PAGE = (ROOT / "assets/docs/how-to/extend.md").read_text()
 SECTION = PAGE[PAGE.index("### A surface format") :]
@@ -21,7 +21,7 @@ from pathlib import Path
 import wafer_viewer as wv
 from wafer_viewer.gui.page.import_export_dialogs import READ_FILES, WRITTEN_TITLES
 from wafer_viewer.session.files.file_browser import FILE_KINDS
-from wafer_viewer.store.formats.exporters import losses
+from wafer_viewer.store.formats.conversion import losses
 
 folder = Path(sys.argv[1])
 surface = wv.read_surface(folder / "a.npz")

@@ -22,8 +22,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import MESHES, READ, WRITTEN, every_for, formats_markdown
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface_format import SurfaceFormat
-from wafer_viewer.store.formats.exporters import density, export, losses
-from wafer_viewer.store.formats.readers import is_surface_file, read_surface
+from wafer_viewer.store.formats.conversion import density, export, is_surface_file, losses, read_surface
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 NEARLY = {".gsf": 2e-6, ".csv": 6e-6, ".xyz": 6e-6}

@@ -23,9 +23,18 @@ from wafer_viewer.acquire.focus.surface import CELL_COLS, CELL_ROWS, predicted_r
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.devices import PulseSummary, Rig
-from wafer_viewer.model.acquisition.focus_following import CoarseLook, FocusCell, FocusPlace
 from wafer_viewer.model.acquisition.focus_stack import Frame, Image
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FocusSweep, Leg, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import (
+    MIN_FRAMES,
+    CoarseLook,
+    Field,
+    FocusCell,
+    FocusPlace,
+    FocusSweep,
+    Leg,
+    ScanPlan,
+    Shot,
+)
 from wafer_viewer.model.acquisition.procedure import ProcedureControl, ProcedureStep
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import MotionStopped, RigError

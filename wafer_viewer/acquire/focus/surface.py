@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.focus_following import FocusPlace
+from wafer_viewer.model.acquisition.plan import FocusPlace
 from wafer_viewer.model.errors import RigError
 
 # -------------------------------------------------------------------------------------------------------------- kriging

@@ -14,8 +14,16 @@ from numpy.typing import NDArray
 from wafer_viewer.acquire.focus.coarse_look import LOOK, LookForFocus, first_places, spread
 from wafer_viewer.acquire.focus.surface import FocusRange, predicted_ranges
 from wafer_viewer.acquire.planner import plan_scan, price_all, whole_counts
-from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, FOLLOW_TITLE, CoarseLook, FollowFocus
-from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Price, ScanPlan
+from wafer_viewer.model.acquisition.plan import (
+    FOLLOW_FOCUS,
+    FOLLOW_TITLE,
+    CoarseLook,
+    Field,
+    FocusSweep,
+    FollowFocus,
+    Price,
+    ScanPlan,
+)
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.spec import replace
 

@@ -10,7 +10,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.gui.measure.live_measurement import Answer, Answering, LiveProfiles
-from wafer_viewer.gui.measure.profile_section import ProfileSection
+from wafer_viewer.gui.measure.profile_views import ProfileSection
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import require_step
 from wafer_viewer.gui.presenters import measurement as words

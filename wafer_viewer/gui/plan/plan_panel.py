@@ -34,8 +34,7 @@ from wafer_viewer.gui.widgets.controls import (
     with_decimals,
 )
 from wafer_viewer.gui.widgets.number_field import OptionalPair, Pair, pair_of, pair_text
-from wafer_viewer.model.acquisition.focus_following import FollowFocus
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, FollowFocus
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError, WaferViewerError

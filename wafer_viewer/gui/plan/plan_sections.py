@@ -19,7 +19,7 @@ from wafer_viewer.gui.plan.job_dialogs import (
     trial_dialog,
     trial_is_old,
 )
-from wafer_viewer.gui.presenters import focus as words
+from wafer_viewer.gui.presenters import plan as words
 from wafer_viewer.gui.presenters.plan import trial
 from wafer_viewer.gui.presenters.verdict import RULES, limits
 from wafer_viewer.gui.state.view_state import View

@@ -15,7 +15,7 @@ from wafer_viewer.draw.colormaps import Rgb, rgb
 from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.draw.surface import mesh, texture_baking
 from wafer_viewer.draw.surface.mesh import painted
-from wafer_viewer.gui.presenters.focus import WINDOW_COLOUR, FollowedPlan, followed
+from wafer_viewer.gui.presenters.plan import WINDOW_COLOUR, FollowedPlan, followed
 from wafer_viewer.gui.scene.camera_presets import Clear
 from wafer_viewer.gui.scene.primitives import (
     Box,

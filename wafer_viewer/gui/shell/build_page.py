@@ -26,10 +26,9 @@ from wafer_viewer.gui.live.live_panel import LivePanel
 from wafer_viewer.gui.live.live_picture import LiveDock, LivePicture
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure.profile_dock import ProfileDock
+from wafer_viewer.gui.measure.profile_views import ProfileDock
 from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar
-from wafer_viewer.gui.overlays.screenshot import PrintPicture
-from wafer_viewer.gui.overlays.toolbar import Toolbar
+from wafer_viewer.gui.overlays.toolbar import PrintPicture, Toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
 from wafer_viewer.gui.page.dialogs import add_hints, add_titles

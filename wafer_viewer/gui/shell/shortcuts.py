@@ -16,7 +16,7 @@ from markupsafe import Markup
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.acquire import RETAKE, AcquirePanel, why_not_retaken
 from wafer_viewer.gui.measure.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure.profile_section import LineVerbs
+from wafer_viewer.gui.measure.profile_views import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES

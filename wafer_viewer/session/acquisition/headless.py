@@ -26,7 +26,7 @@ from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.spec import replace as replace_spec
 from wafer_viewer.rigs.rig_config import RigConfig, open_rig
-from wafer_viewer.session.acquisition.exposure_search import exposure_search
+from wafer_viewer.session.acquisition.live_controller import exposure_search
 from wafer_viewer.session.acquisition.rig_messages import FrameTaken, Scan, ScanFault
 from wafer_viewer.session.acquisition.scan_run import Steering, run_scan_job, writer_of
 from wafer_viewer.session.core.dataset_library import today

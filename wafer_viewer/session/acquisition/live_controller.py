@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from wafer_viewer.acquire.focus.search import FocusFound, GoToFocus
 from wafer_viewer.acquire.motion import JogVelocity
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.devices import Position
+from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 from wafer_viewer.model.acquisition.positioners import PositionerReading
+from wafer_viewer.model.acquisition.procedure import FoundExposure
 from wafer_viewer.model.errors import PlanError, RigError
+from wafer_viewer.model.job import Job
+from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.acquisition.rig_client import RigClient
 from wafer_viewer.session.acquisition.rig_messages import Drive, Jog, MovePositioner
 from wafer_viewer.session.core.command_queue import CommandQueue
@@ -26,6 +32,93 @@ from wafer_viewer.session.planning.plan_editor import PlanEditor
 from wafer_viewer.session.state.instrument_state import FocusTrace, LiveFrame, LivePlace
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 from wafer_viewer.store.dataset.ome_header import StagePicture
+
+if TYPE_CHECKING:
+    from wafer_viewer.acquire.auto_exposure import FindExposure
+
+
+# ------------------------------------------------------------------------------------------------------ exposure search
+
+
+FIXED = "The job is released, which fixes its exposures: copy it to a new plan first."
+
+
+def exposure_search(job: Job, plan: ScanPlan, numbers: Sequence[int] = ()) -> FindExposure:
+    """Return the search over the fields with these numbers, or over a few spread over the plan.
+
+    Raises PlanError for a released job, and for a number that no field has.
+    """
+    from wafer_viewer.acquire.auto_exposure import FindExposure, spread_fields
+
+    if job.released:
+        raise PlanError(FIXED)
+    fields = tuple(_field(plan, number) for number in numbers) or spread_fields(plan.fields)
+    return FindExposure(fields, plan.sweep, min(plan.exposures_us))
+
+
+def write_exposures(path: Path, exposures_us: tuple[float, ...]) -> None:
+    """Change the exposures in the file of a plan; its comments and layout are kept."""
+    from wafer_viewer.session.planning.job_releases import read_job
+    from wafer_viewer.store.io.atomic_files import write_text
+
+    wanted, text = replace(read_job(path), exposures_us=exposures_us), path.read_text(encoding="utf-8")
+    line = f"exposures_us = [{', '.join(f'{us:g}' if us % 1 else f'{us:.1f}' for us in exposures_us)}]"
+    changed, n = re.subn(r"(?m)^exposures_us\s*=\s*\[[^\]]*\]", line, text, count=1)
+    changed = changed if n else re.sub(r"(?m)^(?=\[)", f"{line}\n\n", text, count=1)
+    try:
+        is_kept = decode(changed, Job, path.name) == wanted
+    except PlanError:
+        is_kept = False
+    write_text(path, changed if is_kept else encode(wanted))
+
+
+class ExposureController:
+    """Controller of the search for the exposure; its result is in the snapshot."""
+
+    def __init__(self, command_queue: CommandQueue, plan_editor: PlanEditor, rig: RigClient) -> None:
+        self._command_queue, self._plan_editor, self._rig = command_queue, plan_editor, rig
+
+    @command
+    def find(self, fields: tuple[int, ...] = ()) -> Future[FoundExposure]:
+        """Find the exposure over the z range of the plan and set it, in one step that can be undone.
+
+        fields: numbers of the fields to look at; by default a few spread over the plan. The exposure suits the
+        brightest of them. The future is done when the plan has it, or fails with MotionStopped. Raises PlanError as
+        long as the sample is not confirmed, without a plan, and for a released job.
+        """
+        self._plan_editor.require_confirmed()
+        search = exposure_search(*self._plan_editor.ready(), fields)
+        self._command_queue.change(exposure=None)
+        return self._command_queue.then(self._rig.run_procedure(search), self._found)
+
+    @command
+    def take_bracket(self) -> None:
+        """Set the exposures of the plan to the proposed bracket. Raises PlanError when there is none."""
+        found = self._command_queue.now.exposure
+        if found is None or not found.bracket:
+            raise PlanError("No bracket is proposed: find the exposure first; where one suffices there is none.")
+        self._set(found.bracket_us)
+
+    def _found(self, found: FoundExposure) -> FoundExposure:
+        self._command_queue.change(exposure=found)
+        self._set(found.single_us)
+        return found
+
+    def _set(self, exposures_us: tuple[float, ...]) -> None:
+        job, _ = self._plan_editor.ready()
+        if job.exposures_us != exposures_us:
+            self._plan_editor.edit.run(replace(job, exposures_us=exposures_us))
+
+
+def _field(plan: ScanPlan, number: int) -> Field:
+    field = next((f for f in plan.fields if f.number == number), None)
+    if field is None:
+        raise PlanError(f"The plan has {len(plan.fields)} fields and no field {number}: choose one of them.")
+    return field
+
+
+# ------------------------------------------------------------------------------------------------------ live controller
+
 
 FIRST_EXPOSURE_US = 100.0
 """Exposure without a plan."""
@@ -225,7 +318,7 @@ class LiveController:
     def _drive(self, way: Drive, n_stops: int) -> Future[None]:
         self._plan_editor.require_confirmed()
         now = self._command_queue.now
-        running = self._rig.move_to(replace(way, highest_um=_highest_um(now)), n_stops)
+        running = self._rig.move_to(dataclasses.replace(way, highest_um=_highest_um(now)), n_stops)
         self._drives += 1
         if not way.by and way.x_um is not None and way.y_um is not None and now.rig.limits is not None:
             ways_um = way.x_um - now.rig.x_um, way.y_um - now.rig.y_um
@@ -243,7 +336,7 @@ class LiveController:
         live, rig = self._command_queue.now.live, self._command_queue.now.rig
         with self._lock:
             trace = FocusTrace(rig.x_um, rig.y_um, found.curve, found.z_um, found.u_um)
-            self._look = replace(self._look, trace=trace)
+            self._look = dataclasses.replace(self._look, trace=trace)
         self._show(found_um=max(found.z_um, live.found_um if live.found_um is not None else found.z_um))
         return found
 
@@ -305,10 +398,10 @@ class LiveController:
     def _show_position(self, at: Position) -> None:
         rig = self._command_queue.now.rig
         if (rig.x_um, rig.y_um, rig.z_um) != (at.x_um, at.y_um, at.z_um):
-            self._command_queue.change(rig=replace(rig, x_um=at.x_um, y_um=at.y_um, z_um=at.z_um))
+            self._command_queue.change(rig=dataclasses.replace(rig, x_um=at.x_um, y_um=at.y_um, z_um=at.z_um))
 
     def _show(self, **changes: Any) -> None:
-        self._command_queue.change(live=replace(self._command_queue.now.live, **changes))
+        self._command_queue.change(live=dataclasses.replace(self._command_queue.now.live, **changes))
 
 
 def exposure_us(now: Snapshot) -> float:
@@ -341,7 +434,7 @@ def with_score(trace: FocusTrace, at: Position, score: float) -> FocusTrace:
     if math.hypot(at.x_um - trace.x_um, at.y_um - trace.y_um) > SAME_PLACE_UM or not trace.points:
         return FocusTrace(at.x_um, at.y_um, ((at.z_um, score),))
     others = tuple(p for p in trace.points if round(p[0] / BIN_UM) != round(at.z_um / BIN_UM))
-    return replace(trace, points=tuple(sorted((*others[-MOST_POINTS:], (at.z_um, score)))))
+    return dataclasses.replace(trace, points=tuple(sorted((*others[-MOST_POINTS:], (at.z_um, score)))))
 
 
 def _highest_um(now: Snapshot) -> float | None:

@@ -19,9 +19,8 @@ from wafer_viewer.acquire.focus.windows import replanned, widened
 from wafer_viewer.acquire.motion import device_errors, read_positioners
 from wafer_viewer.acquire.scan_runner import ScanOutcome, run_scan
 from wafer_viewer.model.acquisition.devices import Position, PulseSummary, Rig
-from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS
 from wafer_viewer.model.acquisition.focus_stack import Frame, Image
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Leg, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import FOLLOW_FOCUS, MIN_FRAMES, Field, Leg, ScanPlan, Shot
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.job import Job

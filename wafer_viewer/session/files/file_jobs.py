@@ -60,7 +60,7 @@ def import_surface(
     says: values that the file does not contain. Raises DatasetError, with nothing written, for everything that
     `read_surface` refuses, for a path that exists or cannot be written to, and when the import is stopped.
     """
-    from wafer_viewer.store.formats.readers import read_surface
+    from wafer_viewer.store.formats.conversion import read_surface
     from wafer_viewer.store.records.manifest import forget_marks, sign_result, sign_scan
 
     if out.exists():
@@ -157,7 +157,7 @@ class FileJobs:
     @query
     def is_surface(self, path: Path) -> bool:
         """Return whether a path names a surface file, rather than a dataset or images."""
-        from wafer_viewer.store.formats.readers import is_surface_file
+        from wafer_viewer.store.formats.conversion import is_surface_file
 
         return is_surface_file(Path(path))
 

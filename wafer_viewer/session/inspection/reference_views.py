@@ -93,7 +93,7 @@ class DefectViews:
     @query
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
         """Return the positions at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
-        from wafer_viewer.measure.defects.repeaters import repeated_places
+        from wafer_viewer.measure.defects.defect_builder import repeated_places
 
         inspection = self._snapshot().inspection.inspection
         return () if inspection is None else repeated_places(inspection, within_um)

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.focus_following import FOLLOW_FOCUS, CoarseLook, FieldFocus
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import (
+    FOLLOW_FOCUS,
+    MIN_FRAMES,
+    CoarseLook,
+    FieldFocus,
+    FieldGrid,
+    FocusSweep,
+    ScanPlan,
+)
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError, RoleError, WaferViewerError
 from wafer_viewer.model.job import Job

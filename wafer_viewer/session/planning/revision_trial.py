@@ -1,4 +1,4 @@
-"""Trial of a job on stored datasets before its release: the verdicts that would change, and why.
+"""Released jobs: their commands, on the command line too, and the trial of a revision on stored datasets.
 
 If only limits changed, the stored measurements are judged again. If a region or the tool changed, the stored surface is
 measured again. If the recipe changed, the frames are reconstructed into a separate result. Existing data are never
@@ -16,8 +16,17 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError
-from wafer_viewer.model.job import FeatureVerdict, Job, NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, MeasureError, PlanError
+from wafer_viewer.model.job import (
+    FeatureVerdict,
+    Job,
+    NotTried,
+    Trial,
+    TriedWafer,
+    VerdictChange,
+    WaferVerdict,
+    changed_settings,
+)
 from wafer_viewer.model.measurement.feature import DecisionRule, Die, Feature, limits_text
 from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -28,14 +37,25 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, forwarded
-from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, today
-from wafer_viewer.session.planning.job_releases import as_released, list_released
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, load_summary, today
+from wafer_viewer.session.planning.job_releases import (
+    as_released,
+    for_next_wafer,
+    free_place,
+    list_released,
+    prepared,
+    read_job,
+    released,
+    revised,
+)
 from wafer_viewer.session.planning.plan_editor import PlanEditor
-from wafer_viewer.session.planning.verdicts import stored_verdict
+from wafer_viewer.session.planning.verdicts import stored_verdict, verdict_of
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.session.surface.headless import LocalOrCluster, make_surface
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.dataset.scan_record import RECORD
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.task_runner import TaskRunner
@@ -306,14 +326,13 @@ def _judged_before(data: Dataset, result: str) -> _Before:
 def _judged_now(data: Dataset, job: Job, before: _Before, stored: Result, remade: bool) -> Iterator[FeatureVerdict]:
     """Yield the verdict of every feature by the new job, from the stored value if it still applies, else remeasured."""
     from wafer_viewer.measure.verdict import judge, judge_at, not_judged
-    from wafer_viewer.model.spec import replace
 
     surface = stored.mosaic() if remade else before.surface
     alignment = data.scan.job.alignment if job.marks is not None else None
     for feature, die in judged_places(job):
         then = before.items.get((feature.name, die.name if die else ""))
         if then is not None and then.measured is not None and not remade and _same_number(then, before, feature, die):
-            yield replace(judge(feature, then.measured), die=then.die, not_evaluated=then.not_evaluated)
+            yield replace_in(judge(feature, then.measured), die=then.die, not_evaluated=then.not_evaluated)
         else:
             yield judge_at(surface, feature, die, alignment, _calibrated(data))
     yield from not_judged(job.features, job.dies)
@@ -386,3 +405,83 @@ def _tell(progress: Progress, should_stop: ShouldStop, n: int, total: int, share
     if should_stop():
         raise ComputeError(f"The trial was stopped at dataset {n + 1} of {total}; nothing was released.")
     progress((n + share) / total)
+
+
+# ------------------------------------------------------------------------------------------------------------- headless
+
+
+def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, result: str, folder: Path) -> Job:
+    """Return the job of a plan as it would be released in `folder`/jobs; a good sample's dataset resolves ``auto``.
+
+    names: product and revision, if they differ from those of the plan. Raises PlanError with the missing parts, or if
+    that revision is already released; DatasetError if the dataset has no stitched surface.
+    """
+    job = read_job(plan)
+    job = replace_in(job, released=False, **{key: name for key, name in names.items() if name is not None})
+    ready = revised(job) if good is None else _settled(job, Dataset.open(good), result)
+    free_place(folder, ready)
+    return ready
+
+
+def tried(job: Job, against: Sequence[Path], result: str, tell: Progress) -> Trial:
+    """Return the trial of a job on stored datasets, and on those in folders."""
+    return try_job(job, datasets_of(against), result, progress=tell)
+
+
+def _settled(job: Job, data: Dataset, result: str) -> Job:
+    """Return the job with the resolved recipe of a dataset."""
+    stored = data.result(result)
+    settled, info = stored.mosaic().provenance.recipe, load_summary(stored)
+    stitched = info.stitching if info is not None else None
+    errors_um = (stitched.stage_error_um, stitched.z_error_um) if stitched is not None else None
+    return released(job, data.scan.plan, settled, errors_um)
+
+
+def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um: Sequence[float]) -> Job:
+    """Return the job in a file for one wafer, with its names and aligned by its corners.
+
+    corners_um: measured x and y of each corner in order. A dataset that is continued has both already. Raises PlanError
+    for corners that give no alignment.
+    """
+    job = read_job(plan)
+    given = {key: name for key, name in names.items() if name is not None}
+    if out.exists() and not given and not corners_um and _is_of(out, job):
+        return Dataset.open(out).scan.job
+    job = replace_in(job, sample=replace_in(job.sample, **given))
+    return _aligned(job, corners_um) if corners_um else job
+
+
+def stored_verdict_of(path: Path, result: str) -> WaferVerdict:
+    """Return the verdict on the wafer of a dataset; it is stored in the dataset unless another process holds that.
+
+    Raises DiskFullError when there is no space to store it.
+    """
+    data = Dataset.open(path.absolute())
+    try:
+        lock = Lock.take(data.path)
+    except DiskFullError:
+        raise
+    except DatasetError:
+        return verdict_of(data, data.result(result), keep=False)
+    try:
+        return verdict_of(data, data.result(result), keep=True)
+    finally:
+        lock.release()
+
+
+def _is_of(out: Path, job: Job) -> bool:
+    if not (job.released and (out / RECORD).exists()):
+        return False
+    begun: Any = Dataset.open(out).scan.job
+    return not changed_settings(prepared(begun), prepared(for_next_wafer(job)))[0]
+
+
+def _aligned(job: Job, corners_um: Sequence[float]) -> Job:
+    from wafer_viewer.calibrate.wafer_alignment import fit_alignment
+
+    if job.marks is None:
+        raise PlanError("The plan names no corners to align by: leave --corners out, or name them in the plan.")
+    if len(corners_um) % 2:
+        raise PlanError(f"--corners has {len(corners_um)} numbers: give x and y of each corner.")
+    marked_um = list(zip(corners_um[::2], corners_um[1::2], strict=True))
+    return replace_in(job, alignment=fit_alignment(job.marks, marked_um, job.sample.notch))

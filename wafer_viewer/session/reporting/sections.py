@@ -244,7 +244,7 @@ WIDTH_PX = 420
 
 def stacked(material: Material, inspection: Inspection) -> Iterator[Figure]:
     """Yield the figure with the defects of all dies overlaid; none without dies or without defects on them."""
-    from wafer_viewer.measure.defects.repeaters import repeated_places
+    from wafer_viewer.measure.defects.defect_builder import repeated_places
 
     if inspection.grid is None or not any(defect.die for defect in inspection.found):
         return
@@ -256,7 +256,7 @@ def stacked(material: Material, inspection: Inspection) -> Iterator[Figure]:
 
 def repeated(inspection: Inspection) -> Iterator[str]:
     """Yield the positions at which several dies have a defect."""
-    from wafer_viewer.measure.defects.repeaters import repeated_places
+    from wafer_viewer.measure.defects.defect_builder import repeated_places
 
     places = repeated_places(inspection)
     if places:

@@ -10,9 +10,8 @@ from typing import Literal
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.focus_following import FieldFocus
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.acquisition.plan import Field, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import Field, FieldFocus, ScanPlan, Shot
 from wafer_viewer.model.acquisition.positioners import PositionerState
 from wafer_viewer.model.acquisition.procedure import FoundExposure
 from wafer_viewer.model.acquisition.rig_limits import RigLimits

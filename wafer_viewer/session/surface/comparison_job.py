@@ -197,7 +197,7 @@ THREADS = 2
 def open_surface(name: SurfaceName) -> Mosaic:
     """Return the surface of a name. Raises DatasetError when it does not exist."""
     from wafer_viewer.reconstruct.comparison.compare import read_as
-    from wafer_viewer.store.formats.readers import read_surface
+    from wafer_viewer.store.formats.conversion import read_surface
 
     path = Path(name.path)
     if path.suffix != ENDING:

@@ -27,7 +27,7 @@ from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.stack_import import open_stack
-from wafer_viewer.store.formats.readers import is_surface_file, read_surface
+from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.poses_file import write_poses_csv
 
 Warn = Callable[[str], None]

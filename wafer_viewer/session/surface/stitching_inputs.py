@@ -23,7 +23,7 @@ from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.blending.mosaic_layout import PixelLattice, layout, planned_lattice
 from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance
-from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
+from wafer_viewer.reconstruct.pose_graph.lateral_poses import PreviousSolution
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.surface.field_poses import HeightOffsets, Poses, Shifts
     from wafer_viewer.reconstruct.blending.mosaic_layout import PixelLattice
     from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic
-    from wafer_viewer.reconstruct.pose_graph.incremental import PreviousSolution
+    from wafer_viewer.reconstruct.pose_graph.lateral_poses import PreviousSolution
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs, Window
     from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
@@ -52,7 +52,7 @@ def bring_up_to_date(
     an unreadable surface are omitted and reported. Raises DatasetError when no field has a surface, ComputeError when
     the work is stopped; an incomplete mosaic is drawn again next time. The final surface gets its manifest.
     """
-    from wafer_viewer.reconstruct.pose_graph.incremental import freeze_unmoved_fields
+    from wafer_viewer.reconstruct.pose_graph.lateral_poses import freeze_unmoved_fields
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
     from wafer_viewer.store.records.manifest import sign_result
 

@@ -222,7 +222,7 @@ def export_surface(
     from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
     from wafer_viewer.session.surface.comparison_job import comparison_view
     from wafer_viewer.store.dataset.dataset import Dataset
-    from wafer_viewer.store.formats.exporters import export
+    from wafer_viewer.store.formats.conversion import export
 
     data = Dataset.open(dataset)
     stored = data.result(result)
