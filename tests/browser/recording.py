@@ -49,6 +49,19 @@ def _needs_control(true: type, name: str) -> bool:
     return getattr(getattr(true, name), "needs_control", True)
 
 
+def done(value: Any = None) -> Future[Any]:
+    """An answer that is there already."""
+    answer: Future[Any] = Future()
+    answer.set_result(value)
+    return answer
+
+
+def refused(fault: Exception) -> Future[Any]:
+    answer: Future[Any] = Future()
+    answer.set_exception(fault)
+    return answer
+
+
 class Recording:
     """Stands in for `true`: a subclass answers some verbs itself, the rest are recorded under their path."""
 

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from tests.support import surfaces
+from tests.support.plans import plan_without_motion
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.job import Job
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.rendering.render_pictures import paint
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey
@@ -78,19 +80,7 @@ def grid(rows: int = 3, cols: int = 3, x_um: float = 0.0, y_um: float = 0.0) -> 
 
 def job_and_plan(of: FieldGrid, z_start_um: float = -6.0) -> tuple[Job, ScanPlan]:
     job = Job(grid=of, sweep=FocusSweep(z_step_um=1.0, n_frames=60), z_start_um=z_start_um)
-    fields = job.all_fields()
-    plan = ScanPlan(
-        fields=fields,
-        sweep=job.sweep,
-        exposures_us=(100.0,),
-        strategy="z_snake",
-        legs=(),
-        predicted_s=42.0,
-        prices=(),
-        rows=ROWS,
-        cols=COLS,
-        pixel_um=PIXEL_UM,
-    )
+    plan = replace(plan_without_motion(job, (ROWS, COLS), PIXEL_UM), strategy="z_snake", predicted_s=42.0)
     return job, plan
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.browser.recording import Recording
+from tests.browser.recording import Recording, done
 from tests.browser.sessions.seen_session import SeenSession
 from tests.support.page_stand_in import height_map
 from wafer_viewer.model.surface.comparison import Align, Change, Comparison, ComparisonFace, Registration, SurfaceName
@@ -43,7 +43,7 @@ class ComparedSession(SeenSession):
         super().__init__()
         self.change(comparisons=comparisons())
         self.comparing = _Comparing(ComparisonController, self._done, "comparing.")
-        surfaces = self._painter.shelf.surfaces
+        surfaces = self.shelf.surfaces
         surfaces |= _faces(surfaces[0])
 
 
@@ -54,9 +54,7 @@ class _Comparing(Recording):
     def begin(
         self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
     ) -> Future[int]:
-        done: Future[int] = Future()
-        done.set_result(1)
-        return done
+        return done(1)
 
 
 def _faces(whole: HeightMap) -> dict[int, HeightMap]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
+from tests.browser.recording import done, refused
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.control_handover import Control
 
@@ -24,12 +25,10 @@ class StandingDesk:
         self._session.change(**fields)
 
     def do(self, verb: Callable[..., Any], *args: Any) -> Future[Any]:
-        answer: Future[Any] = Future()
         try:
-            answer.set_result(verb(*args))
+            return done(verb(*args))
         except WaferViewerError as fault:
-            answer.set_exception(fault)
-        return answer
+            return refused(fault)
 
     def note(self, event: Callable[..., None], *args: Any) -> None:
         event(*args)

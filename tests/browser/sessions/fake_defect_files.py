@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tests.browser.recording import Recording
+from tests.browser.recording import Recording, refused
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
@@ -92,9 +92,7 @@ class FakeDefectFiles(Recording):
         try:
             other = overlay_klarf(path, now.dataset.job.alignment, now.inspection.inspection, unit, within_um)
         except WaferViewerError as fault:
-            refused: Future[Any] = Future()
-            refused.set_exception(fault)
-            return refused
+            return refused(fault)
         return self._put("lay_over", (path,), other=other)
 
     def take_away(self) -> Future[Any]:

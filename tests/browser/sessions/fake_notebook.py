@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from tests.browser.recording import Recording
+from tests.browser.recording import Recording, done
 from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
@@ -109,9 +109,3 @@ class FakePapers(Recording):
         path = path or self.folder / "coupon-07-report-1.html"
         path.write_text(f"<h1>{order.title}</h1>")
         return done(path)
-
-
-def done(came_to: Any) -> Future[Any]:
-    answer: Future[Any] = Future()
-    answer.set_result(came_to)
-    return answer

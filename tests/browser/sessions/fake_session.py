@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.browser.recording import Recording
+from tests.browser.recording import Recording, done, refused
 from tests.browser.sessions.fake_control import fake_control
 from tests.browser.sessions.fake_exchange import FakeExchange
 from tests.browser.sessions.fake_notebook import FakeNotebook, FakePapers
@@ -28,6 +28,7 @@ from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.roles import AuditEntry
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
@@ -112,9 +113,7 @@ class FakeSession(Recording):
         anything = self.snapshot.rig.state in ("moving", "scanning", "paused")
         self.asked.append(("stop", (), {}))
         self.change(rig=dataclasses.replace(self.snapshot.rig, state="ready"))
-        answer: Future[bool] = Future()
-        answer.set_result(anything)
-        return answer
+        return done(anything)
 
     def profile(
         self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Any = None
@@ -136,12 +135,7 @@ class FakeSession(Recording):
 
     def _done(self, name: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Future[Any]:
         self.asked.append((name, args, kwargs))
-        answer: Future[Any] = Future()
-        if self.fails_with is not None:
-            answer.set_exception(self.fails_with)
-        else:
-            answer.set_result(None)
-        return answer
+        return done() if self.fails_with is None else refused(self.fails_with)
 
 
 class FakeLive(Recording):
@@ -374,8 +368,8 @@ def measured(problem: str | None = None) -> Snapshot:
     step = a_step(Region.rectangle(0, 0, 80, 60), Region.rectangle(0, -120, 80, -90))
     line = a_profile(Region.line(-200, 0, 500, 0, 3.0))[0]
     kept = (
-        dataclass_named(step, "Die to trench", 1),
-        dataclass_named(line, "Across the gel drop <b>&", 2),
+        replace(step, name="Die to trench", number=1),
+        replace(line, name="Across the gel drop <b>&", number=2),
     )
     scan = dataclasses.replace(_scan_of(data), finished=True)
     return dataclasses.replace(planned(), dataset=data, surface=info, findings=kept, findings_undo=True, scan=scan)
@@ -383,12 +377,6 @@ def measured(problem: str | None = None) -> Snapshot:
 
 def _scan_of(data: OpenDataset) -> ScanProgress:
     return ScanProgress(data.fields[8], 59, 43.5, 9, 540, 540, 0, 540, 0.0, 14.2, "09:41:07", "Z passes, up and down")
-
-
-def dataclass_named(finding: Any, name: str, number: int) -> Any:
-    from wafer_viewer.model.spec import replace
-
-    return replace(finding, name=name, number=number)
 
 
 def a_step(upper: Region, lower: Region) -> StepHeight:

@@ -10,25 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from tests.browser.recording import Recording
-from tests.browser.sessions.fake_session import RIG, FakeSession
+from tests.browser.recording import Recording, refused
+from tests.browser.recording import done as came_to
+from tests.browser.sessions.fake_session import RIG
 from tests.browser.sessions.gauge_blocks import CALIBRATION, COLS, PIXEL_UM, ROWS, STEP_UM, blocks, certificate
-from tests.browser.sessions.measuring_session import done as came_to
-from tests.support.page_stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
+from tests.browser.sessions.surface_session import SurfaceSession
+from tests.support.page_stand_in import grid, job_and_plan, snapshot_of
 from wafer_viewer.measure.gauge.gauge_studies import run_chart
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
-from wafer_viewer.model.measurement.measuring_tool import ToolName
-from wafer_viewer.model.measurement.tool_options import Levelling
-from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.gauge import gauge_check as work
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
 from wafer_viewer.session.gauge.repeat_scans import Studies
-from wafer_viewer.session.measurement.dataset_queries import Measuring
 from wafer_viewer.session.state.inspection_state import GaugeState, Tick
 
 UPPER = Region.rectangle(150, -40, 330, 190)
@@ -51,9 +47,7 @@ class FakeGauge(Recording):
         try:
             read = read_certificate(path)
         except MeasureError as fault:
-            failed: Future[Any] = Future()
-            failed.set_exception(fault)
-            return failed
+            return refused(fault)
         self._put(certificate=read)
         return came_to(read)
 
@@ -106,40 +100,21 @@ class FakeGauge(Recording):
         self._session.change(gauge=worked_out(dataclasses.replace(self._state, **changes)))
 
 
-class GaugeSession(FakeSession):
+class GaugeSession(SurfaceSession):
     """`state`: where the check stands; `with_surface`: whether the blocks were scanned."""
 
     def __init__(self, state: GaugeState | None = None, with_surface: bool = True) -> None:
-        self.shelf = MemoryShelf({0: blocks(), 1: blocks()})
+        surfaces = {0: blocks(), 1: blocks()}
         job, plan = job_and_plan(grid(1, 1))
         plan = replace(plan, rows=ROWS, cols=COLS, pixel_um=PIXEL_UM)
-        whole = snapshot_of(self.shelf.surfaces[0], plan, job)
+        whole = snapshot_of(surfaces[0], plan, job)
         path, taken = Path("step-400-check.wafer"), f"{DAY}09:36:00"
         data = dataclasses.replace(whole.dataset, name=path.stem, path=path, taken=taken)
         now = dataclasses.replace(whole, rig=RIG, dataset=data, compute_ready=True)
         if not with_surface:
             now = dataclasses.replace(now, dataset=None, surface=None)
-        super().__init__(dataclasses.replace(now, gauge=worked_out(state or GaugeState())))
-        self._painter = StandIn(self.shelf)
-        self.paint = self._painter.paint
-        self._measuring = Measuring(lambda show: self.shelf.surfaces[show], lambda: self.snapshot)
+        super().__init__(dataclasses.replace(now, gauge=worked_out(state or GaugeState())), surfaces)
         self.gauge, self.studies = FakeGauge(self), Studies()
-
-    def surface_source(self, show: int) -> HeightMap:
-        return self.shelf.surfaces[show]
-
-    def measure(
-        self,
-        tool: ToolName,
-        places: tuple[Region, ...],
-        show: int = 0,
-        levelling: Levelling | None = None,
-        options: ToolOptions | None = None,
-    ) -> AnyResult:
-        return self._measuring.measure(tool, places, show, levelling, options)
-
-    def close(self) -> None:
-        self._painter.close()
 
 
 def repeat_of(surface: HeightMap, upper: Region = UPPER, lower: Region = LOWER, n: int = 0) -> GaugeRepeat:

@@ -10,31 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from tests.browser.recording import Recording
-from tests.browser.sessions.fake_session import FakeSession
-from tests.support.page_stand_in import (
-    COLS,
-    PIXEL_UM,
-    ROWS,
-    MemoryShelf,
-    StandIn,
-    grid,
-    height_map,
-    job_and_plan,
-    snapshot_of,
-)
+from tests.browser.recording import Recording, done
+from tests.browser.sessions.surface_session import SurfaceSession
+from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.measuring_tool import ToolName
-from wafer_viewer.model.measurement.tool_options import Datum, Levelling
-from wafer_viewer.model.measurement.tools import ToolOptions
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.session.core.command_queue import UndoHistory
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
-from wafer_viewer.session.measurement.dataset_queries import Measuring, ReadOut, Sections
+from wafer_viewer.session.measurement.dataset_queries import ReadOut, Sections
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)
@@ -44,40 +32,21 @@ CALIBRATION = Calibration(
 )
 
 
-class MeasuringSession(FakeSession):
+class MeasuringSession(SurfaceSession):
     """A die over streets with a dome and a groove in it and a bevel at the right, all of it tilted; one field."""
 
     def __init__(self, made: Callable[[], HeightMap] | None = None) -> None:
         job, plan = job_and_plan(grid(1, 1))
         whole = (made or a_die)()
-        self.shelf = MemoryShelf({0: whole, 1: whole})
-        super().__init__(snapshot_of(self.shelf.surfaces[0], plan, job))
-        self._painter = StandIn(self.shelf)
-        self.paint = self._painter.paint
-        self._measuring = Measuring(lambda show: self.shelf.surfaces[show], lambda: self.snapshot)
-        questions = SimpleNamespace(surface_source=self.surface_source, measuring=self._measuring)
+        super().__init__(snapshot_of(whole, plan, job), {0: whole, 1: whole})
+        self.datum = self.measuring.datum
+        questions = SimpleNamespace(surface_source=self.surface_source, measuring=self.measuring)
         self.sections = Sections(questions, lambda: self.snapshot)
         self.gauge = _Faces(self)
         self._kept: UndoHistory[tuple[AnyResult, ...]] = UndoHistory(())
 
-    def surface_source(self, show: int) -> HeightMap:
-        return self.shelf.surfaces[show]
-
-    def measure(
-        self,
-        tool: ToolName,
-        places: tuple[Region, ...],
-        show: int = 0,
-        levelling: Levelling | None = None,
-        options: ToolOptions | None = None,
-    ) -> AnyResult:
-        return self._measuring.measure(tool, places, show, levelling, options)
-
-    def datum(self, levelling: Levelling, show: int = 0) -> Datum:
-        return self._measuring.datum(levelling, show)
-
     def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Any = None) -> Any:
-        return self._measuring.profile(line, show, levelling)
+        return self.measuring.profile(line, show, levelling)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
         at = self.shelf.surfaces[show].window(Region.rectangle(x_um, y_um, x_um, y_um))
@@ -109,9 +78,6 @@ class MeasuringSession(FakeSession):
         self._tell()
         return done(None)
 
-    def close(self) -> None:
-        self._painter.close()
-
     def _put(self, findings: tuple[AnyResult, ...]) -> None:
         self._kept.put(findings)
         self._tell()
@@ -129,12 +95,6 @@ class _Faces(Recording):
 
     def find_faces(self, show: int = 0) -> tuple[Region, Region]:
         return find_faces(self._surfaces[show], size_px=60)[:2]
-
-
-def done(value: Any) -> Future[Any]:
-    answer: Future[Any] = Future()
-    answer.set_result(value)
-    return answer
 
 
 def a_die() -> HeightMap:

@@ -8,105 +8,60 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from tests.browser.sessions.fake_session import FakeSession
-from tests.support.page_stand_in import (
-    COLS,
-    PIXEL_UM,
-    ROWS,
-    MemoryShelf,
-    StandIn,
-    grid,
-    height_map,
-    job_and_plan,
-    snapshot_of,
-)
+from tests.browser.recording import done
+from tests.browser.sessions.surface_session import SurfaceSession
+from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival, Verdict
-from wafer_viewer.model.surface.height_map import HeightMap
 
 Z_UM = tuple(float(z) for z in np.arange(-6.0, 54.0))
 DIE_UM, TRENCH_UM = 30.0, 2.0
 
 
-class SeenSession(FakeSession):
+class SeenSession(SurfaceSession):
     """One field with a die and a trench beside it. `answers`: what the next questions come to instead of the usual."""
 
     def __init__(self) -> None:
         job, plan = job_and_plan(grid(1, 1))
         whole = _surface()
-        super().__init__(snapshot_of(whole, plan, job))
-        self._painter = StandIn(MemoryShelf({0: whole, 1: whole}))
+        super().__init__(snapshot_of(whole, plan, job), {0: whole, 1: whole})
         self.answers: list[Future[FocusCurve]] = []
-        self.paint = self._painter.paint
-        self._whole = whole
-
-    def surface_source(self, show: int) -> HeightMap:
-        return self._whole
 
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
         if self.answers:
             return self.answers.pop(0)
-        return came_to(a_focus_curve(x_um, y_um))
+        return done(a_focus_curve(x_um, y_um))
 
     def frame_near(self, field: int, z_um: float) -> Any:
         """The nearer to the die's height, the sharper the picture."""
         texture = np.random.default_rng(1).normal(140, 90, (ROWS, COLS))
         return ndimage.gaussian_filter(texture, 0.6 + abs(z_um - DIE_UM) / 8).clip(0, 255).astype(np.uint8)
 
-    def close(self) -> None:
-        self._painter.close()
-
-
-def came_to(curve: FocusCurve) -> Future[FocusCurve]:
-    answer: Future[FocusCurve] = Future()
-    answer.set_result(curve)
-    return answer
-
 
 def a_focus_curve(x_um: float, y_um: float, measured: bool = True) -> FocusCurve:
     z = np.array(Z_UM)
     focus = np.exp2(-((z - DIE_UM) ** 2) / 40) + 0.04
     focus += (0.34 if measured else 0.93) * np.exp2(-((z - TRENCH_UM) ** 2) / 30)
-    rival = Verdict(
-        gate="rival",
-        question="Does the peak stand over its rivals?",
-        score=1.53 if measured else 0.1,
-        limit=0.64,
-        unit="powers of two",
-        passed=measured,
-    )
-    texture = Verdict(
-        gate="texture",
-        question="Is there texture to focus on?",
-        score=4.4,
-        limit=1.29,
-        unit="powers of two",
-        passed=True,
-    )
-    clipped = Verdict(
-        gate="clipped",
-        question="Is the window free of pixels that are too bright?",
-        score=0.0,
-        limit=0.3,
-        unit="share of the window",
-        passed=True,
-    )
-    inside = Verdict(
-        gate="range",
-        question="Does the peak lie within the sweep?",
-        score=0.0,
-        limit=0.0,
-        unit="1 at an end",
-        passed=True,
+    texts = ("gate", "question", "score", "limit", "unit", "passed")
+    verdicts = tuple(
+        Verdict(**dict(zip(texts, verdict, strict=True)))
+        for verdict in (
+            ("clipped", "Is the window free of pixels that are too bright?", 0.0, 0.3, "share of the window", True),
+            ("texture", "Is there texture to focus on?", 4.4, 1.29, "powers of two", True),
+            ("range", "Does the peak lie within the sweep?", 0.0, 0.0, "1 at an end", True),
+            (
+                "rival",
+                "Does the peak stand over its rivals?",
+                1.53 if measured else 0.1,
+                0.64,
+                "powers of two",
+                measured,
+            ),
+        )
     )
     windows = Verdict(
-        gate="windows",
-        question="Does a window twice as wide see the same height?",
-        score=0.31 if measured else 28.02,
-        limit=None,
-        unit="um",
-        passed=True,
-        note="This gate is off.",
-    )
+        gate="windows", question="Does a window twice as wide see the same height?", unit="um",
+        score=0.31 if measured else 28.02, limit=None, passed=True, note="This gate is off.",
+    )  # fmt: skip
     return FocusCurve(
         field=1,
         row=ROWS // 2,
@@ -123,7 +78,7 @@ def a_focus_curve(x_um: float, y_um: float, measured: bool = True) -> FocusCurve
         origin="measured" if measured else "ambiguous peak",
         confidence=0.65 if measured else 0.07,
         rivals=(Rival(z_um=TRENCH_UM, share=0.36 if measured else 0.93),),
-        verdicts=(clipped, texture, inside, rival, windows),
+        verdicts=(*verdicts, windows),
         simulated=True,
     )
 

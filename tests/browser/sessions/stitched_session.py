@@ -6,21 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from tests.browser.sessions.fake_session import FakeSession
+from tests.browser.sessions.surface_session import SurfaceSession
 from tests.support.made_up_poses import made_up_poses, stitching_of
-from tests.support.page_stand_in import (
-    COLS,
-    PIXEL_UM,
-    ROWS,
-    MemoryShelf,
-    StandIn,
-    grid,
-    height_map,
-    job_and_plan,
-    snapshot_of,
-)
+from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.model.surface.field_poses import Poses, RejectionReason
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.core.dataset_library import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
@@ -33,7 +23,7 @@ MANY_DOUBTS = {
 }  # fmt: skip
 
 
-class StitchedSession(FakeSession):
+class StitchedSession(SurfaceSession):
     """`rows` x `cols` fields, seen in pixels `coarse` times as large as theirs; by itself, that is one for a few."""
 
     def __init__(self, rows: int = 3, cols: int = 3, coarse: int = 0) -> None:
@@ -50,25 +40,11 @@ class StitchedSession(FakeSession):
         if snapshot.surface is None:
             raise ValueError("The surface of this session is not there.")
         surface = dataclasses.replace(snapshot.surface, stitching=stitching_of(poses, notes))
-        super().__init__(dataclasses.replace(snapshot, surface=surface))
-        self.shelf = MemoryShelf({0: whole})
-        self._painter = StandIn(self.shelf)
+        super().__init__(dataclasses.replace(snapshot, surface=surface), {0: whole})
         self._poses = poses
-        self.paint = self._painter.paint
-
-    def surface_source(self, show: int) -> Mosaic:
-        return self._painter.surface_source(show)
 
     def poses(self) -> Poses | None:
         return self._poses
-
-    @property
-    def painted(self) -> list:
-        """What was asked of the painter, in order."""
-        return self._painter.asked
-
-    def close(self) -> None:
-        self._painter.close()
 
 
 class GrowingSession(StitchedSession):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.support.plans import plan_without_motion
 from tests.support.surfaces import height_map
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.job import Job
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 ROWS, COLS = 6, 8
@@ -28,19 +30,8 @@ def make_job(rows=1, cols=2, n_frames=4, exposures=1) -> Job:
 
 
 def make_plan(job: Job, rows=ROWS, cols=COLS) -> ScanPlan:
-    fields = job.all_fields()
-    return ScanPlan(
-        fields=fields,
-        sweep=job.sweep,
-        exposures_us=job.exposures_us,
-        strategy="z_up",
-        legs=tuple(make_leg(job, field) for field in fields),
-        predicted_s=1.0,
-        prices=(),
-        rows=rows,
-        cols=cols,
-        pixel_um=0.5,
-    )
+    plan = plan_without_motion(job, (rows, cols), 0.5)
+    return replace(plan, legs=tuple(make_leg(job, field) for field in plan.fields))
 
 
 def make_leg(job, field) -> Leg:
