@@ -246,7 +246,7 @@ GROUPS = {
             State("no contact", lose, ".wv-bar-over.lost.on"),
         ),
     ),
-    "live": Group(live_session, "plan", (State("live", keys("c"), ".wv-live-focus"),)),
+    "live": Group(live_session, "plan", (State("bench"), State("live", keys("c"), ".wv-live-focus"))),
     "surface": Group(
         noted,
         "surface",

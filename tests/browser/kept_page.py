@@ -40,11 +40,20 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
   }
   return getContext.call(this, kind, ...rest);
 };
+for (const name of ['drawArrays', 'drawArraysInstanced', 'drawElements', 'drawElementsInstanced']) {
+  const draw = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...given) {
+    if (window.drawsScene) draw.apply(this, given);
+  };
+}
 """
-"""The scene is drawn into few pixels, scaled to its place: tests read the page, and software draws slowly.
+"""The scene has few pixels, scaled to its place, and nothing is drawn into it: tests read the page.
 
-Whoever asks the canvas for its size hears the one that it was given: the panel below the scene follows it.
+A software's drawing of a surface costs as much as the rest of the page. Whoever asks the canvas for its size hears the
+one that it was given: the panel below the scene follows it.
 """
+DRAW = "window.drawsScene = true"
+"""For a test that looks at the picture of the scene; until the page is loaded again or shows another session."""
 PATIENCE_MS = 120_000
 """A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
 CLOSING_MS = 20_000
@@ -55,7 +64,10 @@ _PAGES = itertools.count()
 """Each page has a port of its own: one that waits for its program must not come to that of another."""
 AWAY = "document.hasFocus = () => false; window.dispatchEvent(new Event('blur'))"
 """viser's client tries to connect again only in a window that has the focus."""
-FORGET = "localStorage.clear(); sessionStorage.clear(); document.activeElement?.blur(); scrollTo(0, 0)"
+FORGET = (
+    "localStorage.clear(); sessionStorage.clear(); document.activeElement?.blur(); scrollTo(0, 0);"
+    "window.drawsScene = false"
+)
 AGAIN = "document.hasFocus = () => true; window.dispatchEvent(new Event('focus'))"
 # The bar of a lost contact is there from the first loss on that the page notices.
 IS_NEW = """before => {
@@ -72,7 +84,7 @@ LEFT_OPEN = """() => {
 
 
 def a_page(context: BrowserContext, script: str = SMALL_PICTURE) -> Page:
-    """A page with a small picture."""
+    """A page with a small picture, not drawn."""
     context.add_init_script(script)
     hide_viser_warning(context)
     page = context.new_page()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
@@ -23,11 +22,12 @@ pytestmark = [
 WORK_S = 240
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    before, _ = two_datasets(tmp_path / "wafers")
-    dataset_of(tmp_path / "wafers" / "other.wafer", a_texture(5), "other", "2026-01-03T08:00:00")
-    opened = Session(tmp_path / "wafers")
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    folder = tmp_path_factory.mktemp("data") / "wafers"
+    before, _ = two_datasets(folder)
+    dataset_of(folder / "other.wafer", a_texture(5), "other", "2026-01-03T08:00:00")
+    opened = Session(folder)
     opened.open_dataset(before).result(WORK_S)
     yield opened
     opened.close()

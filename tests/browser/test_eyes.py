@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
+from tests.browser.kept_page import DRAW
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.reviewed_session import reviewed_session
 from tests.browser.sessions.stitched_session import StitchedSession
@@ -79,6 +80,7 @@ def hillshade(page: Page) -> Locator:
 
 
 def test_a_picture_at_print_size_has_that_size_and_says_simulated(page: Page, session: StitchedSession, tmp_path: Path):
+    page.evaluate(DRAW)
     page.locator("[data-pick=picture]").click()
     eventually(lambda: list(tmp_path.glob("*.png")) != [], "the picture is kept", 120)
     expect(page.locator(".mantine-Notification-root", has_text="Picture saved")).to_be_visible()

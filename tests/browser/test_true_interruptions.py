@@ -93,6 +93,7 @@ def kill(program: subprocess.Popen[str]) -> None:
     assert not alive
 
 
+@pytest.mark.campaign
 def test_a_scan_is_continued_after_its_program_was_killed(
     look_at: Callable[[str], Page], serve_folder: Callable[[], tuple[subprocess.Popen[str], str]], tmp_path: Path
 ):

@@ -14,6 +14,7 @@ from wafer_viewer.session.session import Session
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.slow,
+    pytest.mark.campaign,
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
