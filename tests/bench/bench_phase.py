@@ -23,12 +23,13 @@ from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.frame_health import interpolation_u_um
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import focus_width, search_of
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume, source_of
+from wafer_viewer.reconstruct.focus.focus_volume import Volume
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, fill_volume, find_peaks
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, developed, stripes
 from wafer_viewer.reconstruct.preprocess.camera_noise import settled_noise
-from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 STEPS_DOF, QUICK_STEPS_DOF = (0.2, 0.3, 0.45, 0.6, 0.75, 0.9), (0.3, 0.45, 0.75)
 APERTURES, CONTRASTS, SEEDS = (0.20, 0.28, 0.38, 0.45), (0.25, 0.12, 0.05), 2
@@ -65,7 +66,7 @@ class Measured:
         search = search_of(recipe, frames.n_frames, frames.step_um)
         bench = ThreadScratch.make(frames.n_frames, frames.shape, search, frames.dtype)
         peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
-        source = source_of(frames, *(slice(0, n) for n in frames.shape), search.margin_px, bench.block)
+        ((_, source),) = developed(frames, stripes(frames.shape, frames.shape[0]), search.margin_px)
         fill_volume(source, search, bench.rows, Volume(*bench.curves, peaks.clipped, peaks.coarse))
         return cls(frames, recipe, source, bench, peaks)
 

@@ -21,15 +21,16 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
 from tests.bench.harness import highest, read_options, took
+from tests.reconstruct.conftest import correction
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.focus.focus_volume import source_of
-from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS, stripes
+from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS
+from wafer_viewer.reconstruct.frame_blocks import Frames, developed, read_part, stripes
 from wafer_viewer.reconstruct.preprocess.drift import Drift
-from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 from wafer_viewer.rigs.virtual.camera import Sensor
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
@@ -131,7 +132,11 @@ def report_cost(n_frames: int) -> None:
         frames = prepare(stack)
         drift = Drift(np.stack([even, even], axis=1), np.zeros(n_frames), frames.shape)
         fused = prepare(dataclasses.replace(stack, brackets=(bracket,)), LEFT_ALONE)
-        for what, one in (("plain", frames), ("drifted", dataclasses.replace(frames, drift=drift)), ("fused", fused)):
+        for what, one in (
+            ("plain", frames),
+            ("drifted", dataclasses.replace(frames, corrections=(drift,))),
+            ("fused", fused),
+        ):
             print(f"reading, {what}: {least_ms(lambda f=one: read_all(f)) / n_frames:.2f} ms a frame")
         both = dataclasses.replace(stack, brackets=(bracket,))
         with highest() as most_mb:
@@ -157,12 +162,13 @@ def stack_of(seen: Seen, images: NDArray[np.uint8]) -> FieldStack:
 
 def found(frames: Frames, shift_px: Floats, growth: Floats) -> str:
     """What was found, and how far off it is at the field's corner where the frames were seen."""
-    if frames.drift is None:
+    drift = correction(frames, Drift)
+    if drift is None:
         return "nothing found"
-    moved = np.flatnonzero(np.abs(np.diff(frames.drift.shift_px[:, 0])) + np.abs(np.diff(frames.drift.growth)) > 1e-9)
+    moved = np.flatnonzero(np.abs(np.diff(drift.shift_px[:, 0])) + np.abs(np.diff(drift.growth)) > 1e-9)
     seen = slice(moved[0], moved[-1] + 2)
-    off = np.stack([frames.drift.shift_px[:, 0] - shift_px, frames.drift.shift_px[:, 1] - 0.5 * shift_px], axis=1)[seen]
-    grown = ((frames.drift.growth - growth) * np.hypot(ROWS, COLS) / 2)[seen]
+    off = np.stack([drift.shift_px[:, 0] - shift_px, drift.shift_px[:, 1] - 0.5 * shift_px], axis=1)[seen]
+    grown = ((drift.growth - growth) * np.hypot(ROWS, COLS) / 2)[seen]
     shift_off, grown_off = (float(np.abs(o - o.mean(axis=0)).max()) for o in (off, grown))
     return f"found in {len(off)} frames off {shift_off:.2f}, {grown_off:.2f} px"
 
@@ -199,18 +205,14 @@ def heated(folder: Path, where: tuple[int | slice, int | slice]) -> NDArray[np.u
 
 def read_for_search(frames: Frames) -> None:
     """All stripes of a field, where the search reads them."""
-    margin = 7
-    block = np.empty((frames.n_frames, STRIPE_ROWS + 2 * margin, frames.shape[1] + 2 * margin), frames.dtype)
-    for rows in stripes(frames.shape[0]):
-        n_rows = rows.stop - rows.start + 2 * margin
-        source_of(frames, rows, slice(0, frames.shape[1]), margin, block[:, :n_rows])
+    for _ in developed(frames, stripes(frames.shape, STRIPE_ROWS), 7):
+        pass
 
 
 def read_all(frames: Frames) -> None:
     """All blocks of a field, as a search reads them."""
-    block = np.empty((frames.n_frames, 48 + 10, frames.shape[1] + 10), frames.dtype)
-    for top in range(0, frames.shape[0] - 48, 48):
-        read_block(frames, slice(top, top + 48), slice(0, frames.shape[1]), 5, block)
+    for part in stripes(frames.shape, 48):
+        read_part(frames, part, 5)
 
 
 def least_ms(work: Callable[[], object]) -> float:

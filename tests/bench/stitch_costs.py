@@ -101,10 +101,11 @@ def stitched(made: Made, meter: Meter, folder: Path) -> None:
 def blended(mosaic: StitchedMosaic) -> None:
     """Every window of the mosaic once, none of them kept."""
 
-    def one(window: tuple[slice, slice]) -> None:
-        blend_window(mosaic.heights, *window, mosaic.layout, mosaic.provenance)
+    def blend(todo: Iterator[tuple[slice, slice]]) -> None:
+        for window in todo:
+            blend_window(mosaic.heights, *window, mosaic.layout, mosaic.provenance)
 
-    on_threads(one, list(windows(mosaic.shape)), THREADS)
+    on_threads(blend, windows(mosaic.shape), THREADS)
 
 
 def windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:

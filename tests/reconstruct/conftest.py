@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.reconstruct.frame_blocks import Correction, Frames, Part, read_part
 
 PIXEL_UM = 0.5
 _SHARPEST_PX, _PX_PER_UM = 0.8, 0.3
@@ -19,10 +21,21 @@ _VARIANCES = np.array([0.64, 1, 1.5, 2.2, 3.2, 4.6, 6.5, 9, 13, 19, 27, 39, 56, 
 
 MakeStack = Callable[..., FieldStack]
 MakeMap = Callable[..., HeightMap]
+Kind = TypeVar("Kind", bound=Correction)
 
 
 def a_field(number: int = 1, x_um: float = 0.0, y_um: float = 0.0) -> Field:
     return Field(number=number, row=0, col=number - 1, x_um=x_um, y_um=y_um, z_start_um=0.0)
+
+
+def correction(frames: Frames, kind: type[Kind]) -> Kind | None:
+    """The correction of a kind that frames have."""
+    return next((one for one in frames.corrections if isinstance(one, kind)), None)
+
+
+def whole_field(frames: Frames) -> NDArray:
+    """All pixels of all frames, corrected."""
+    return read_part(frames, Part(*(slice(0, n) for n in frames.shape)))
 
 
 def _blurred(levels: NDArray, height_um: NDArray, z_um: float) -> NDArray:

@@ -16,12 +16,12 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, largest_gap, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, largest_gap, search_block
+from wafer_viewer.reconstruct.frame_blocks import Frames, Part, developed
 from wafer_viewer.reconstruct.gates.edge_bleeding import EdgeSearch, edge_search_for
 from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, Gate, gate_for, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
-from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 AUTO_WINDOWS = (9, 13, 17)
 """Candidate windows in pixels. Below 9 px, height noise grows faster than resolution improves."""
@@ -280,11 +280,15 @@ def _tiles(frames: Frames, search: Search) -> Iterator[tuple[ThreadScratch, Peak
     n_rows, n_cols = frames.shape
     shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
     bench = ThreadScratch.make(frames.n_frames, shape, search, frames.dtype)
-    peaks = Peaks.empty(shape, bench.block.dtype)
-    for top in _starts(n_rows, shape[0]):
-        for left in _starts(n_cols, shape[1]):
-            search_part(frames, slice(top, top + shape[0]), slice(left, left + shape[1]), search, bench, peaks)
-            yield bench, peaks
+    peaks = Peaks.empty(shape, frames.dtype)
+    tiles = [
+        Part(slice(top, top + shape[0]), slice(left, left + shape[1]))
+        for top in _starts(n_rows, shape[0])
+        for left in _starts(n_cols, shape[1])
+    ]
+    for _, block in developed(frames, tiles, search.margin_px):
+        search_block(block, frames.z_um, search, bench, peaks)
+        yield bench, peaks
 
 
 def _starts(length: int, size: int) -> list[int]:

@@ -35,6 +35,7 @@ from wafer_viewer.reconstruct.focus.peak_search import (
     search_field,
     wide_heights,
 )
+from wafer_viewer.reconstruct.frame_blocks import Frames
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
@@ -43,7 +44,7 @@ from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 from wafer_viewer.reconstruct.height_uncertainty import jitter_effect_um, uncertainty_um
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
 from wafer_viewer.reconstruct.preprocess.frame_jitter import add_gaps, frame_gaps, frame_jitter, worst_gap_u_um
-from wafer_viewer.reconstruct.preprocess.frames import Frames, FrameSamples, prepare
+from wafer_viewer.reconstruct.preprocess.frames import FrameSamples, prepare
 
 SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
 """Finished fraction after the peak search and after the edges, from 60 frames of 1000 x 1320 pixels."""
@@ -142,7 +143,7 @@ class PreparedField:
 
     def part(self, rows: slice, cols: slice) -> PreparedField:
         """Return the pixels [rows, cols], with corrections and recipe of the entire field."""
-        return dataclasses.replace(self, stack=self.stack.part(rows, cols), frames=self.frames.part(rows, cols))
+        return dataclasses.replace(self, frames=self.frames.part(rows, cols))
 
 
 def prepare_field(stack: FieldStack, recipe: Recipe = Recipe(), samples: FrameSamples | None = None) -> PreparedField:
@@ -294,7 +295,7 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
         confidence=peaks.confidence,
-        all_in_focus=without_shading(picture, stack.shading, field.frames.fusion),
+        all_in_focus=without_shading(picture, field.frames.shading),
         origin=cleaned.origin,
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,

@@ -20,11 +20,11 @@ from wafer_viewer.reconstruct.field_pipeline import (
     search_peaks,
 )
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import ThreadScratch, search_part
+from wafer_viewer.reconstruct.focus.peak_search import ThreadScratch, search_block
+from wafer_viewer.reconstruct.frame_blocks import Part, developed, read_part
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
 from wafer_viewer.reconstruct.gates.gate import POWERS, GateTest
-from wafer_viewer.reconstruct.preprocess.frames import read_block
 
 MOST_RIVALS = 3
 """Largest number of rivals that a focus curve lists."""
@@ -98,13 +98,13 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the focus measure of a pixel in each frame, as a fraction of its maximum, and its grey values."""
-    frames, search, pixel = field.frames, field.tuned.search, (slice(row, row + 1), slice(col, col + 1))
+    frames, search, pixel = field.frames, field.tuned.search, Part(slice(row, row + 1), slice(col, col + 1))
     bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
-    search_part(frames, *pixel, search, bench, Peaks.empty((1, 1), bench.block.dtype))
+    for _, block in developed(frames, [pixel], search.margin_px):
+        search_block(block, frames.z_um, search, bench, Peaks.empty((1, 1), frames.dtype))
     log2 = bench.spots.table.logarithms(bench.curves.levels[:, 0, 0])
-    grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
-    read_block(frames, *pixel, 0, grey)
-    return np.exp2(log2 - log2.max()), frames.as_stored_counts(grey[:, 0, 0]).astype(np.int64)
+    grey = read_part(frames, pixel)[:, 0, 0]
+    return np.exp2(log2 - log2.max()), frames.as_stored_counts(grey).astype(np.int64)
 
 
 def verdicts_of(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdict, ...]:

@@ -7,6 +7,7 @@ stack.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,14 +20,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.auto_tuning import search_of
 from wafer_viewer.reconstruct.field_pipeline import PreparedField, prepare_field, reconstruct_from_peaks, search_peaks
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import (
-    FocusCurves,
-    StackSource,
-    Volume,
-    on_threads,
-    row_parts,
-    rows_in,
-)
+from wafer_viewer.reconstruct.focus.focus_volume import FocusCurves, Volume, on_threads, rows_in
 from wafer_viewer.reconstruct.focus.peak import Peaks, PeakScratch
 from wafer_viewer.reconstruct.focus.peak_search import (
     WideLevels,
@@ -35,6 +29,7 @@ from wafer_viewer.reconstruct.focus.peak_search import (
     include_frames,
     wide_cells,
 )
+from wafer_viewer.reconstruct.frame_blocks import StackSource, row_parts
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, SilhouetteRows, silhouette_block
 from wafer_viewer.reconstruct.preprocess.drift import measure_displacements, measure_sharpness
 from wafer_viewer.reconstruct.preprocess.frames import FrameSamples, clipped_from
@@ -154,19 +149,19 @@ class LiveField:
     def _is_complete(self, field: PreparedField) -> bool:
         """Return whether all frames were measured, unmodified, with the measure, window and camera noise in use."""
         frames, search, used = field.frames, field.tuned.search, self._search
-        complete = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
+        complete = frames.as_stored and np.array_equal(frames.stored[0].slots, np.arange(len(self._images)))
         same_settings = (search.measure, search.window, search.camera) == (used.measure, used.window, used.camera)
         return bool(self._came.all()) and complete and same_settings
 
     def _found(self, field: PreparedField) -> Peaks:
         slots, z_um, search = np.arange(len(self._images)), field.frames.z_um, field.tuned.search
 
-        def one(stripe: tuple[slice, FocusCurves]) -> None:
-            rows, curves = stripe
+        def find(todo: Iterator[tuple[slice, FocusCurves]]) -> None:
             spots = PeakScratch.make(self._images.shape[2], self._table)
-            find_peaks(self._source(rows, slots), z_um, search, curves, spots, self._peaks.rows(rows))
+            for rows, curves in todo:
+                find_peaks(self._source(rows, slots), z_um, search, curves, spots, self._peaks.rows(rows))
 
-        on_threads(one, self._stripes, threads=None)
+        on_threads(find, self._stripes, threads=None)
         return self._peaks
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> StackSource:

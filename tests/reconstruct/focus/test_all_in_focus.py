@@ -14,7 +14,7 @@ from tests.truth.unseen import drawn_scene
 from wafer_viewer.model.surface.height_map import UNMEASURED_FROM
 from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct, search_peaks
 from wafer_viewer.reconstruct.focus.all_in_focus import FrameFit, membrane
-from wafer_viewer.reconstruct.preprocess.frames import Frames
+from wafer_viewer.reconstruct.frame_blocks import Frames
 
 Z_UM = 2.0 * np.arange(30)
 LIGHT = np.linspace(1.25, 0.75, len(Z_UM))
@@ -58,7 +58,7 @@ def test_light_that_bends_along_z_is_read_right_between_frames(focus_width_um: f
     light = 4000 + 300 * k - 40 * k**2
     images = np.broadcast_to(light[:, None, None], (len(k), 1, 200)).astype(np.uint16).copy()
     at_um = np.linspace(z_um[3], z_um[-4], 200, dtype=np.float32)[None]
-    frames = Frames(images, slice(0, len(k)), z_um, clipped_counts=65535)
+    frames = Frames.of(images, k, z_um, clipped_counts=65535)
     grey = np.zeros((1, 200), np.uint16)
     FrameFit.of(frames, focus_width_um).read(at_um, np.ones((1, 200), np.bool_), grey)
     place = np.interp(at_um, z_um, k)

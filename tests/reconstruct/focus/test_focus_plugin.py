@@ -22,9 +22,9 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.focus_measures import BUILT_IN, FocusMeasure, focus_measures
 from wafer_viewer.reconstruct.focus import peak_search
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, noise_scores, search_field, search_part
+from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, noise_scores, search_block, search_field
+from wafer_viewer.reconstruct.frame_blocks import Part, StackSource, developed
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 NAME = "laplacian_variance"
@@ -160,10 +160,11 @@ def test_blocks_equal_the_whole_frame(added, plane_stack: FieldStack) -> None:
     expected = np.rint(512 * (np.log2(full) + 64)).astype(int)
     n_rows, cols = frames.shape
     for rows, columns in ((0, 0), (3, 90), (40, 61), (n_rows - 32, cols - 32), (0, cols - 32)):
-        block = slice(rows, rows + 32), slice(columns, columns + 32)
+        part = Part(slice(rows, rows + 32), slice(columns, columns + 32))
         bench = ThreadScratch.make(frames.n_frames, (32, 32), search, frames.dtype)
-        search_part(frames, *block, search, bench, Peaks.empty((32, 32), frames.dtype))
-        np.testing.assert_array_equal(bench.curves.levels, expected[(slice(None), *block)])
+        for _, block in developed(frames, [part], search.margin_px):
+            search_block(block, frames.z_um, search, bench, Peaks.empty((32, 32), frames.dtype))
+        np.testing.assert_array_equal(bench.curves.levels, expected[:, part.rows, part.cols])
 
 
 def test_stripes_and_threads_leave_no_seam(added, plane_stack: FieldStack, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +183,7 @@ def test_what_no_focus_looks_like_is_the_lowest_level(added) -> None:
     search = Search("own", 1, "argmax", 1)
     source = StackSource.of(np.zeros((3, 1, 7), np.uint8), np.arange(3), 0, 0, 256)
     bench = ThreadScratch.make(3, (1, 7), search, np.dtype(np.uint8))
-    peak_search.search_block(source, np.arange(3.0), search, bench, Peaks.empty((1, 7), np.dtype(np.uint8)))
+    search_block(source, np.arange(3.0), search, bench, Peaks.empty((1, 7), np.dtype(np.uint8)))
     assert bench.curves.levels[0, 0].tolist() == [0, 0, 0, 64 * 512, 0, 65535, 65535]
 
 

@@ -13,7 +13,7 @@ from tests.support.campaigns import examples
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Noise, Recipe
 from wafer_viewer.reconstruct.auto_tuning import tune_recipe
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, Volume
+from wafer_viewer.reconstruct.focus.focus_volume import Volume
 from wafer_viewer.reconstruct.focus.log_laplacian import (
     LEVEL_BITS,
     LEVEL_OFFSET,
@@ -24,6 +24,7 @@ from wafer_viewer.reconstruct.focus.log_laplacian import (
     log_margin_px,
 )
 from wafer_viewer.reconstruct.focus.peak_search import Search, noise_scores, search_field
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 

@@ -12,11 +12,12 @@ from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import (
     Search,
     ThreadScratch,
+    search_block,
     search_field,
-    search_part,
     wide_cells,
     wide_heights,
 )
+from wafer_viewer.reconstruct.frame_blocks import developed, stripes
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 
@@ -36,7 +37,8 @@ def _levels(stack: FieldStack, search: Search) -> NDArray[np.uint16]:
     frames = prepare(stack)
     bench = ThreadScratch.make(frames.n_frames, frames.shape, search, frames.dtype)
     out = Peaks.empty(frames.shape, frames.dtype)
-    search_part(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), search, bench, out)
+    for _, block in developed(frames, stripes(frames.shape, frames.shape[0]), search.margin_px):
+        search_block(block, frames.z_um, search, bench, out)
     return bench.curves.levels
 
 

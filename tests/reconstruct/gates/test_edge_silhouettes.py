@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from tests.support.campaigns import examples
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 from wafer_viewer.reconstruct.gates.silhouettes import STANDING_CONTRAST, Silhouette, SilhouetteRows, silhouette_block
 
 DARK_COUNTS = 6.0

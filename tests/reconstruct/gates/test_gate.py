@@ -18,9 +18,9 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import NoiseScores, Search, noise_scores, search_field
+from wafer_viewer.reconstruct.frame_blocks import Frames
 from wafer_viewer.reconstruct.gates.gate import MAX_DIP_PER_POWER, Gate, auto_min_confidence, checks, gate_of, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 MakeStack = Callable[..., FieldStack]
 
@@ -135,7 +135,7 @@ def test_noise_passes_a_gate_once_in_a_hundred_pixels(measure: str, window: int,
     search = Search(measure, window, "tent", 4, camera=CameraNoise(1e-3, 144.0))
     rng = np.random.default_rng(4711)
     grey = rng.normal(128, 12, (n_frames, 200, 200)).round().clip(0, 255).astype(np.uint8)
-    frames = Frames(grey, slice(0, n_frames, 1), np.linspace(0, 4.0 * (n_frames - 1), n_frames), 256)
+    frames = Frames.of(grey, np.arange(n_frames), np.linspace(0, 4.0 * (n_frames - 1), n_frames), 256)
     noise = noise_scores(search, n_frames)
     peaks = search_field(frames, search, threads=1)
     gate = gate_of(noise, auto_min_confidence(noise), 0.3, window)

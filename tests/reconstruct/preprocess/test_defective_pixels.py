@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.reconstruct.conftest import correction, whole_field
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.focus.focus_volume import read_part, source_of
-from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
+from wafer_viewer.reconstruct.frame_blocks import Part, developed, read_part
+from wafer_viewer.reconstruct.preprocess.frames import prepare
+from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws
 
 FLAWS = {
     "hot column": (slice(None), 60, 255),
@@ -37,7 +39,7 @@ def test_flaws_are_found_and_nothing_else(plane_stack: FieldStack, name: str) ->
     rows, cols, value = FLAWS[name]
     present = np.zeros(plane_stack.images.shape[1:], bool)
     present[rows, cols] = True
-    flaws = prepare(flawed(plane_stack, rows, cols, value)).flaws
+    flaws = correction(prepare(flawed(plane_stack, rows, cols, value)), Flaws)
     assert flaws is not None
     found = np.zeros_like(present)
     found[tuple(flaws.at.T)] = True
@@ -54,16 +56,14 @@ def test_flaws_do_not_raise_ridges(plane_stack: FieldStack, plane_um: NDArray, n
 
 
 def test_a_sound_sensor_has_none(plane_stack: FieldStack) -> None:
-    assert prepare(plane_stack).flaws is None
+    assert correction(prepare(plane_stack), Flaws) is None
 
 
 def test_blocks_and_parts_are_mended_alike(plane_stack: FieldStack) -> None:
     frames = prepare(flawed(plane_stack, slice(None), 60, 255))
-    full = np.empty((21, *frames.shape), np.uint8)
-    read_block(frames, slice(0, 96), slice(0, 128), 0, full)
+    full = whole_field(frames)
     assert full[:, :, 60].max() < 255
-    part = np.empty((21, 20, 40), np.uint8)
-    read_block(frames.part(slice(30, 60), slice(40, 100)), slice(5, 25), slice(10, 50), 0, part)
+    part = read_part(frames.part(slice(30, 60), slice(40, 100)), Part(slice(5, 25), slice(10, 50)))
     np.testing.assert_array_equal(part, full[:, 35:55, 50:90])
 
 
@@ -77,12 +77,13 @@ def test_a_flawed_stack_gives_what_one_gives_whose_flaws_were_mended_before(plan
 
 def test_rows_without_a_flaw_are_read_where_they_lie(plane_stack: FieldStack) -> None:
     frames = prepare(flawed(plane_stack, *FLAWS["hot pixel"]), Recipe(drift="none"))
-    cols = slice(0, frames.shape[1])
-    near, far = (source_of(frames, rows, cols, 5) for rows in (slice(0, 30), slice(36, 60)))
-    assert not np.shares_memory(near.images, frames.images)
-    assert np.shares_memory(far.images, frames.images)
-    assert source_of(frames, slice(0, 25), cols, 5).images.shape == frames.images.shape
-    assert source_of(frames, slice(0, 26), cols, 5).images.shape == (frames.n_frames, 36, frames.shape[1] + 10)
+    cols, stored = slice(0, frames.shape[1]), frames.stored[0].images
+    parts = [Part(rows, cols) for rows in (slice(0, 30), slice(36, 60), slice(0, 25), slice(0, 26))]
+    near, far, above, touching = (block.images for _, block in developed(frames, parts, 5))
+    assert not np.shares_memory(near, stored)
+    assert np.shares_memory(far, stored)
+    assert above.shape == stored.shape
+    assert touching.shape == (frames.n_frames, 36, frames.shape[1] + 10)
 
 
 def test_some_frames_and_downward_ones_are_mended_as_all_are(plane_stack: FieldStack) -> None:
@@ -91,13 +92,13 @@ def test_some_frames_and_downward_ones_are_mended_as_all_are(plane_stack: FieldS
     rows, cols = slice(10, 30), slice(50, 61)
     expected = mended_before(stack).images[4:9, rows, cols]
     for one in (stack, turned):
-        part = read_part(prepare(one, Recipe(drift="none")), slice(4, 9), rows, cols, 0)
+        part = read_part(prepare(one, Recipe(drift="none")), Part(rows, cols, slice(4, 9)))
         np.testing.assert_array_equal(part, expected)
 
 
 def mended_before(stack: FieldStack) -> FieldStack:
     """The stack with the mean of two sound pixels in each flaw's place, one after the other."""
-    flaws, images = prepare(stack).flaws, stack.images.copy()
+    flaws, images = correction(prepare(stack), Flaws), stack.images.copy()
     assert flaws is not None
     for at, one, other in zip(flaws.at, flaws.one, flaws.other, strict=True):
         two = stack.images[:, *one].astype(int) + stack.images[:, *other]

@@ -10,12 +10,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
+from tests.reconstruct.conftest import correction, whole_field
 from tests.support.campaigns import drawn_after
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
+from wafer_viewer.reconstruct.frame_blocks import Part, read_part
+from wafer_viewer.reconstruct.preprocess.drift import Drift
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 MARGIN = 25
 STILL, LEFT_ALONE = np.zeros(25), Recipe(drift="none")
@@ -63,7 +66,7 @@ def jumps() -> NDArray:
 @pytest.mark.parametrize("rows_px", [STILL, 0.3 * EVENLY], ids=["still", "0.3 px"])
 def test_what_stays_under_half_a_pixel_is_left_alone(wide_stack: FieldStack, rows_px: NDArray) -> None:
     frames = prepare(moved(wide_stack, rows_px, -rows_px))
-    assert frames.drift is None
+    assert correction(frames, Drift) is None
     assert frames.as_stored
     assert frames.notes == ()
 
@@ -74,7 +77,7 @@ def test_what_stays_under_half_a_pixel_is_left_alone(wide_stack: FieldStack, row
     ids=["1 px", "3 px", "20 px", "jumps"],
 )
 def test_a_shift_is_found_within_a_fifth_of_a_pixel(wide_stack: FieldStack, rows_px: NDArray, cols_px: NDArray) -> None:
-    drift = prepare(moved(wide_stack, rows_px, cols_px)).drift
+    drift = correction(prepare(moved(wide_stack, rows_px, cols_px)), Drift)
     assert drift is not None
     off = drift.shift_px - np.stack([rows_px, cols_px], axis=1)
     assert np.abs(off - off.mean(axis=0)).max() < 0.2
@@ -83,7 +86,7 @@ def test_a_shift_is_found_within_a_fifth_of_a_pixel(wide_stack: FieldStack, rows
 
 @pytest.mark.parametrize("growth", [0.01, -0.02])
 def test_a_change_of_magnification_is_found(wide_stack: FieldStack, growth: float) -> None:
-    drift = prepare(moved(wide_stack, STILL, STILL, growth * EVENLY)).drift
+    drift = correction(prepare(moved(wide_stack, STILL, STILL, growth * EVENLY)), Drift)
     assert drift is not None
     corner_px = np.hypot(*drift.shape) / 2
     off = drift.growth - growth * EVENLY
@@ -106,7 +109,7 @@ def test_heights_are_nearly_as_good_as_without_drift(wide_stack: FieldStack, tru
 
 def test_one_displaced_frame_is_found(wide_stack: FieldStack) -> None:
     aside = np.where(np.arange(25) == 12, 20.0, 0.0)
-    drift = prepare(moved(wide_stack, aside, STILL)).drift
+    drift = correction(prepare(moved(wide_stack, aside, STILL)), Drift)
     assert drift is not None
     off = drift.shift_px[:, 0] - aside
     assert np.abs(off - np.median(off)).max() < 0.2
@@ -129,17 +132,13 @@ def test_the_pixels_are_touched_only_when_requested(wide_stack: FieldStack) -> N
 
 def test_blocks_and_parts_are_read_as_the_whole(wide_stack: FieldStack) -> None:
     frames = prepare(moved(wide_stack, 20 * EVENLY, 5 * EVENLY, 0.004 * EVENLY))
-    full = np.empty((25, *frames.shape), np.uint8)
-    read_block(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), 0, full)
+    full = whole_field(frames)
     rows, cols = slice(96, 144), slice(40, 300)
-    block = np.empty((25, 48 + 10, 260 + 10), np.uint8)
-    read_block(frames, rows, cols, 5, block)
-    np.testing.assert_array_equal(block, full[:, 91:149, 35:305])
-    part, inner = frames.part(rows, cols), np.empty((25, 8, 200), np.uint8)
-    read_block(part, slice(20, 28), slice(30, 230), 0, inner)
+    np.testing.assert_array_equal(read_part(frames, Part(rows, cols), 5), full[:, 91:149, 35:305])
+    inner = read_part(frames.part(rows, cols), Part(slice(20, 28), slice(30, 230)))
     np.testing.assert_array_equal(inner, full[:, 116:124, 70:270])
 
 
 def test_a_field_too_small_for_tiles_is_left_alone(plane_stack: FieldStack) -> None:
     images = np.stack([np.roll(image, k, axis=1) for k, image in enumerate(plane_stack.images)])
-    assert prepare(dataclasses.replace(plane_stack, images=images)).drift is None
+    assert correction(prepare(dataclasses.replace(plane_stack, images=images)), Drift) is None

@@ -9,10 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 import wafer_viewer as wv
+from tests.reconstruct.conftest import correction, whole_field
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 READ_COUNTS, GAIN = 0.4, 0.03
 FULL = 65535
@@ -46,12 +48,6 @@ def bracketed(stack: FieldStack, light: NDArray, *gains: float, black: float = 0
     return dataclasses.replace(stack, images=images[0], exposure_us=100 * gains[0], brackets=others)
 
 
-def full(frames: Frames) -> NDArray:
-    block = np.empty((frames.n_frames, *frames.shape), frames.dtype)
-    read_block(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), 0, block)
-    return block
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [2, 4, 8])
 @pytest.mark.parametrize("black", [0.0, 6.0])
@@ -59,10 +55,11 @@ def test_the_fused_picture_is_linear_in_light(
     plane_stack: FieldStack, light: NDArray, ratio: int, black: float
 ) -> None:
     frames = prepare(bracketed(plane_stack, light, 1, ratio, black=black))
-    assert frames.fusion is not None
-    assert frames.fusion.gains[1] == pytest.approx(ratio, rel=0.03)
-    assert frames.fusion.black_counts == pytest.approx(black, abs=1.0)
-    fused = full(frames) / FULL
+    fusion = correction(frames, Fusion)
+    assert fusion is not None
+    assert fusion.gains[1] == pytest.approx(ratio, rel=0.03)
+    assert fusion.black_counts == pytest.approx(black, abs=1.0)
+    fused = whole_field(frames) / FULL
     for low, high in ((0.03, 0.06), (0.06, 0.2), (0.2, 0.6), (0.6, 0.9)):
         there = (light > low) & (light < high)
         assert np.mean(fused[there]) == pytest.approx(np.mean(light[there]) * 255 / (255 - black), rel=0.04, abs=0.003)
@@ -74,7 +71,7 @@ def test_dark_pixels_are_as_quiet_as_the_photons_of_all_exposures_allow(
     """The variance is that of the sum of both exposures where both hold, the shortest's own where it is alone."""
     level = np.full_like(light, 0.05)
     level[:, :, 64:] = 0.7
-    fused = full(prepare(bracketed(plane_stack, level, 1, 4))).astype(float) * 255 / FULL
+    fused = whole_field(prepare(bracketed(plane_stack, level, 1, 4))).astype(float) * 255 / FULL
     dark, bright = fused[:, :, :60], fused[:, :, 70:]
     dark_counts, bright_counts = 0.05 * 255, 0.7 * 255
     rounding = 1 / 12
@@ -86,7 +83,7 @@ def test_dark_pixels_are_as_quiet_as_the_photons_of_all_exposures_allow(
 def test_a_pixel_is_clipped_only_where_the_shortest_exposure_is(plane_stack: FieldStack, light: NDArray) -> None:
     stack = bracketed(plane_stack, 2 * light, 1, 4)
     frames = prepare(stack)
-    np.testing.assert_array_equal(full(frames) >= frames.clipped_counts, stack.images >= 250)
+    np.testing.assert_array_equal(whole_field(frames) >= frames.clipped_counts, stack.images >= 250)
     assert np.mean(stack.brackets[0].images >= 250) > 2 * np.mean(stack.images >= 250)
 
 
@@ -94,14 +91,14 @@ def test_the_order_of_the_exposures_does_not_matter(plane_stack: FieldStack, lig
     up = bracketed(plane_stack, light, 1, 4)
     short = Bracket(up.images, up.present, up.exposure_us)
     down = dataclasses.replace(up, images=up.brackets[0].images, exposure_us=400.0, brackets=(short,))
-    np.testing.assert_array_equal(full(prepare(up)), full(prepare(down)))
+    np.testing.assert_array_equal(whole_field(prepare(up)), whole_field(prepare(down)))
 
 
 @pytest.mark.slow
 def test_sixteen_bits_and_three_exposures_are_fused_too(plane_stack: FieldStack, light: NDArray) -> None:
     frames = prepare(bracketed(plane_stack, light, 1, 2, 4, white=4095))
     there = (light > 0.1) & (light < 0.9)
-    assert np.mean(full(frames)[there]) / FULL == pytest.approx(np.mean(light[there]), rel=0.02)
+    assert np.mean(whole_field(frames)[there]) / FULL == pytest.approx(np.mean(light[there]), rel=0.02)
     assert "x2, x4 as bright" in frames.notes[0]
 
 
@@ -139,8 +136,9 @@ def test_exposures_that_share_no_pixel_go_by_their_times_or_are_refused(plane_st
     assert str(fault.value).count("\n") == 0
     timed = Bracket(white, plane_stack.present, 300.0)
     frames = prepare(dataclasses.replace(stack, exposure_us=100.0, brackets=(timed,)))
-    assert frames.fusion is not None
-    assert frames.fusion.gains == (1.0, 3.0)
+    fusion = correction(frames, Fusion)
+    assert fusion is not None
+    assert fusion.gains == (1.0, 3.0)
 
 
 def test_exposures_of_other_size_or_depth_are_refused(plane_stack: FieldStack) -> None:

@@ -6,13 +6,14 @@ import dataclasses
 
 import numpy as np
 
+from tests.reconstruct.conftest import correction
 from tests.support.wave_renderer import WaveRenderer
 from wafer_viewer.model.acquisition.calibration import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.blending.stitched_mosaic import stitched_picture
 from wafer_viewer.reconstruct.field_pipeline import prepare_field, reconstruct
-from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, without_shading
 
 SHAPE = (60, 80)
 SENSITIVITY = np.tile(np.linspace(0.85, 1.15, SHAPE[1]), (SHAPE[0], 1)).astype(np.float32)
@@ -60,7 +61,7 @@ def test_fused_exposures_are_corrected_in_their_own_counts():
     plain = stack(SHADING)
     longer = np.clip((plain.images.astype(float) - 6) * 1.6 + 6, 0, 255).astype(np.uint8)
     fused = stack(SHADING, (Bracket(longer, plain.present, 160.0),))
-    assert prepare_field(fused).frames.fusion is not None
+    assert correction(prepare_field(fused).frames, Fusion) is not None
     image = reconstruct(fused).all_in_focus
     assert image.dtype == np.uint16
     assert unevenness(image, reconstruct(stack(sensitivity=1, dark=0)).all_in_focus) < 0.02

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.reconstruct.conftest import MakeStack
+from tests.reconstruct.conftest import MakeStack, correction, whole_field
 from wafer_viewer.measure.base.measurement_context import FLICKER, frame_lines_um
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
@@ -21,7 +21,8 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe
 from wafer_viewer.reconstruct.live_field import LiveField
 from wafer_viewer.reconstruct.preprocess.camera_noise import estimate_camera_noise
-from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
+from wafer_viewer.reconstruct.preprocess.flicker import FlickerGains
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 Z_UM = 2.0 * np.arange(34)
 FACES_UM = (24.3, 41.9)
@@ -89,7 +90,8 @@ def test_light_that_changes_slowly_is_left_alone(make_stack: MakeStack):
 
 
 def test_the_paper_does_not_correct_flicker(make_stack: MakeStack):
-    assert prepare(lit(two_faces(make_stack, 1), gains_of(1)), replace(Recipe.paper(), drift="correct")).flicker is None
+    frames = prepare(lit(two_faces(make_stack, 1), gains_of(1)), replace(Recipe.paper(), drift="correct"))
+    assert correction(frames, FlickerGains) is None
 
 
 def test_noise_is_told_in_counts_of_the_camera(make_stack: MakeStack):
@@ -112,10 +114,7 @@ def test_fused_exposures_flicker_each_by_itself(make_stack: MakeStack):
     )
 
     def scatter(one: FieldStack, recipe: Recipe) -> float:
-        frames = prepare(one, recipe)
-        block = np.empty((frames.n_frames, 96, 128), frames.dtype)
-        read_block(frames, slice(0, 96), slice(0, 128), 0, block)
-        mean = np.log(block.mean(axis=(1, 2)))
+        mean = np.log(whole_field(prepare(one, recipe)).mean(axis=(1, 2)))
         return float(np.std(np.diff(mean, 2)))
 
     assert scatter(bracketed, Recipe()) < 0.1 * scatter(bracketed, LEAVE)

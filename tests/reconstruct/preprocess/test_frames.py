@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.reconstruct.conftest import whole_field
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.sml_tenengrad_glv import focus_block
-from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
+from wafer_viewer.reconstruct.frame_blocks import Part, read_part
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 
 def test_absent_slots_are_skipped(plane_stack: FieldStack) -> None:
     present = np.arange(21) % 5 != 2
     frames = prepare(dataclasses.replace(plane_stack, present=present))
     assert frames.n_frames == np.count_nonzero(present)
-    np.testing.assert_array_equal(frames.images[frames.index], plane_stack.images[present])
+    np.testing.assert_array_equal(whole_field(frames), plane_stack.images[present])
 
 
 def test_a_black_frame_in_an_absent_slot_changes_nothing(plane_stack: FieldStack) -> None:
@@ -64,8 +66,7 @@ def test_border_pixels_repeat_beyond_the_frame(plane_stack: FieldStack) -> None:
     frames = prepare(plane_stack)
     padded = np.pad(plane_stack.images, ((0, 0), (5, 5), (5, 5)), mode="edge")
     for rows, cols in ((slice(0, 20), slice(0, 30)), (slice(80, 96), slice(100, 128)), (slice(40, 50), slice(60, 70))):
-        block = np.empty((21, rows.stop - rows.start + 10, cols.stop - cols.start + 10), np.uint8)
-        read_block(frames, rows, cols, 5, block)
+        block = read_part(frames, Part(rows, cols), 5)
         np.testing.assert_array_equal(block, padded[:, rows.start : rows.stop + 10, cols.start : cols.stop + 10])
 
 

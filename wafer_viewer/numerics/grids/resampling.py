@@ -219,10 +219,6 @@ class Taps:
         weights = (weights / weights.sum(axis=0)).astype(np.float32)
         return cls(floor.astype(np.int64) + 1 - REACH, np.ascontiguousarray(weights[:, of_place]))
 
-    def seen_from(self, start: int) -> Taps:
-        """Return the taps relative to a part of the picture that starts at `start`."""
-        return Taps(self.first - start, self.weights)
-
     @property
     def span(self) -> tuple[int, int]:
         """First point of all, and one past the last."""

@@ -32,9 +32,8 @@ from wafer_viewer.numerics.jit import (
     inline_kernel,
     lean_kernel,
 )
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, row_parts, source_of_rows
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.preprocess.frames import Frames
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, developed, stripes
 
 Floats = NDArray[np.float32]
 
@@ -98,10 +97,9 @@ class FrameFit:
     def read(self, z_um: Floats, wanted: NDArray[np.bool_], out: NDArray[Any]) -> None:
         """Write the grey of the `wanted` pixels at z_um to `out`, all arrays [row, col]."""
         weights, white = _fit_weights(self.steps), np.float32(np.iinfo(self.frames.dtype).max)
-        for rows in row_parts(len(out), _ROWS):
-            if wanted[rows].any():
-                source = source_of_rows(self.frames, rows, 0)
-                _read(source, z_um[rows], wanted[rows], self.frames.z_um, weights, white, out[rows])
+        parts = [part for part in stripes(self.frames.shape, _ROWS) if wanted[part.rows].any()]
+        for (rows, *_), block in developed(self.frames, parts, 0):
+            _read(block, z_um[rows], wanted[rows], self.frames.z_um, weights, white, out[rows])
 
 
 def all_in_focus(peaks: Peaks, z_um: Floats, measured: NDArray[np.bool_], min_contrast: float, fit: FrameFit) -> Image:

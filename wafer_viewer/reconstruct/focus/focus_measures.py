@@ -15,12 +15,12 @@ from wafer_viewer.model.surface.focus_measures import FocusMeasure, focus_measur
 from wafer_viewer.reconstruct.focus.focus_volume import (
     Focusing,
     FocusKernels,
-    StackSource,
     Volume,
     accumulate_levels,
     fraction_table,
 )
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 
 FocusFunction = Callable[[NDArray[np.float32], int], NDArray[Any]]
 

@@ -1,4 +1,4 @@
-"""Parts of a field as sources for the kernels, and the rows of focus that these accumulate.
+"""Focus volume of a block, and the rows of focus that its kernels accumulate.
 
 A block of a stack is processed frame by frame and row by row. A measure makes a row of levels of each frame, log2 of
 the focus as 16 bits; the levels of the block are its focus volume (eq. 5). The best frame of each pixel (eq. 6), the
@@ -7,9 +7,10 @@ clipped frames and the coarse focus volume of the field are updated while the ro
 
 from __future__ import annotations
 
-import dataclasses
+import operator
 import os
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -17,12 +18,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.numerics.jit import (
     Float32s,
     Greys,
     Int,
-    Int64s,
     Real,
     UInt16s,
     aligned,
@@ -32,32 +32,11 @@ from wafer_viewer.numerics.jit import (
     lean_part,
     prefetch,
 )
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.preprocess.frames import Frames, as_slice, read_block
 
 COARSE_PX = 4
 """The coarse focus volume has one level for 4 x 4 pixels."""
-
-
-class StackSource(NamedTuple):
-    """Pixels of a block: images[slots[k]] is frame k, and the block begins at row top, column left.
-
-    images: [n, row, col], contiguous and read-only, so that all stacks have the same type in the kernels.
-    clipped_counts: grey from which a pixel is clipped.
-    """
-
-    images: Greys
-    slots: Int64s
-    top: int
-    left: int
-    clipped_counts: int
-
-    @classmethod
-    def of(cls, images: Greys, slots: Int64s, top: int, left: int, clipped_counts: int) -> StackSource:
-        """Return a source of contiguous images."""
-        view = np.asarray(images).view()
-        view.flags.writeable = False
-        return cls(view, slots, top, left, clipped_counts)
 
 
 class Volume(NamedTuple):
@@ -244,7 +223,7 @@ def _coarsen(a: UInt16s, b: UInt16s, c: UInt16s, d: UInt16s, coarse: UInt16s) ->
         coarse[n_full] = total >> 4
 
 
-Part = TypeVar("Part")
+Share = TypeVar("Share")
 
 
 def cores() -> int:
@@ -252,52 +231,33 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def on_threads(work: Callable[[Part], None], parts: Iterable[Part], threads: int | None) -> None:
-    """Process all parts on `threads` threads (default: all cores)."""
-    threads = threads or cores()
-    if threads == 1:
-        for part in parts:
-            work(part)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, parts))
+def on_threads(
+    work: Callable[[Iterator[Share]], None], parts: Iterable[Share], threads: int | None, progress: Progress = silent
+) -> None:
+    """Process all parts on `threads` threads (default: all cores), each of which takes the next part when it is free.
+
+    progress receives the finished fraction, on the calling thread; an exception raised by it or by `work` ends all.
+    """
+    all_parts = list(parts)
+    todo = iter(all_parts)
+    n_others = min(threads or cores(), len(all_parts)) - 1
+    with ThreadPoolExecutor(max(1, n_others)) as pool:
+        others = [pool.submit(work, todo) for _ in range(n_others)]
+        try:
+            work(_told(todo, len(all_parts), progress))
+        finally:
+            deque(todo, maxlen=0)  # after an exception the others finish their part and find no more
+    for other in others:
+        other.result()
+
+
+def _told(todo: Iterator[Share], n_parts: int, progress: Progress) -> Iterator[Share]:
+    """Yield the parts to do, and report the share of those that are taken once each is done."""
+    for part in todo:
+        yield part
+        progress(1 - operator.length_hint(todo) / n_parts)
 
 
 def rows_in(part: slice) -> int:
     """Return the number of rows of a part."""
     return part.stop - part.start
-
-
-def row_parts(n_rows: int, rows: int) -> list[slice]:
-    """Split rows into parts of `rows`; the last part may be shorter."""
-    return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]
-
-
-def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Image | None = None) -> StackSource:
-    """Return a part of a field for kernels that read `margin` pixels beyond it.
-
-    Pixels are read in place where possible, otherwise copied and corrected. block: [k, rows + 2 margin, cols + 2
-    margin] to copy to; allocated on demand if omitted.
-    """
-    if frames.ready(rows, margin):
-        return StackSource.of(frames.images, frames.slots, rows.start, cols.start, frames.clipped_counts)
-    if block is None:
-        block = read_part(frames, slice(0, frames.n_frames), rows, cols, margin)
-    else:
-        read_block(frames, rows, cols, margin, block)
-    return StackSource.of(block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
-
-
-def source_of_rows(frames: Frames, rows: slice, margin: int) -> StackSource:
-    """Return full rows of a field, for kernels that read `margin` pixels beyond them."""
-    return source_of(frames, rows, slice(0, frames.shape[1]), margin)
-
-
-def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
-    """Read a range of frames of a part of a field, with a margin; beyond the field its border repeats."""
-    independent = frames.drift is None  # the drift of a frame is indexed by its place among all frames
-    chosen = dataclasses.replace(frames, index=as_slice(frames.slots[some])) if independent else frames
-    n_frames = some.stop - some.start if independent else frames.n_frames
-    block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
-    read_block(chosen, rows, cols, margin, block)
-    return block if independent else block[some]

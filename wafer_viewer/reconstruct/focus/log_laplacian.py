@@ -46,7 +46,6 @@ from wafer_viewer.numerics.jit import (
 from wafer_viewer.reconstruct.focus.focus_volume import (
     Focusing,
     FocusKernels,
-    StackSource,
     Volume,
     accumulate_row,
     count_clipped,
@@ -54,6 +53,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     fraction_table,
     take_grey,
 )
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 LEVEL_BITS = 11

@@ -38,7 +38,6 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     FocusCurves,
     Focusing,
     LevelTable,
-    StackSource,
     Volume,
     log2_of,
 )
@@ -50,6 +49,7 @@ from wafer_viewer.reconstruct.focus.peak_interpolation import (
     gather_blended,
     place_row,
 )
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 # ---------------------------------------------------------------------------------------------------------- level noise

@@ -11,9 +11,7 @@ volume, 4 x 4 pixels each, which the search computes anyway.
 
 from __future__ import annotations
 
-import queue
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -21,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.progress import Progress, silent
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.numerics.filters.sliding_filters import repeated
 from wafer_viewer.numerics.jit import (
@@ -40,14 +37,10 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     USUAL_CAMERA,
     FocusCurves,
     Focusing,
-    StackSource,
     Volume,
-    cores,
-    fewer_rows,
     note,
-    row_parts,
+    on_threads,
     rows_in,
-    source_of,
 )
 from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
 from wafer_viewer.reconstruct.focus.peak import (
@@ -60,8 +53,8 @@ from wafer_viewer.reconstruct.focus.peak import (
 )
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
 from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation
+from wafer_viewer.reconstruct.frame_blocks import Frames, Part, StackSource, developed, row_parts, stripes
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 STRIPE_ROWS = 32
 """A multiple of `COARSE_PX`; the focus volumes of two threads then fit the L3 cache of most processors."""
@@ -118,60 +111,40 @@ class Search:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThreadScratch:
-    """Buffers of one thread: a block for pixels that cannot be read in place, its focus curves, and rows."""
+    """Buffers of one thread: the focus curves of a block, and rows."""
 
-    block: Image
     curves: FocusCurves
     rows: Any
     spots: PeakScratch
 
     @classmethod
     def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> ThreadScratch:
-        """Allocate buffers for blocks of `shape` pixels; the block uses no memory until pixels are copied to it."""
-        native, margin = np.dtype(dtype).newbyteorder("="), search.margin_px
-        block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
+        """Allocate buffers for blocks of `shape` pixels."""
         kernels = focus_kernels(search.measure)
-        rows = kernels.make_rows(shape[1], search.window, native)
-        spots = PeakScratch.make(shape[1], kernels.table(native))
-        return cls(block, FocusCurves.make(n_frames, shape), rows, spots)
+        rows = kernels.make_rows(shape[1], search.window, dtype)
+        spots = PeakScratch.make(shape[1], kernels.table(dtype))
+        return cls(FocusCurves.make(n_frames, shape), rows, spots)
 
     def cut(self, n_rows: int) -> ThreadScratch:
         """Return the same buffers for a block of fewer rows: the last stripe of a field."""
-        fewer = len(self.curves.best) - n_rows
-        if not fewer:
-            return self
-        block = fewer_rows(self.block, self.block.shape[1] - fewer)
-        return ThreadScratch(block, self.curves.cut(n_rows), self.rows, self.spots)
+        return self if n_rows == len(self.curves.best) else replace(self, curves=self.curves.cut(n_rows))
 
 
-def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
+def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress = silent) -> Peaks:
     """Return the peaks of an entire field, searched stripe by stripe on `threads` threads (default: all cores).
 
     progress receives the finished fraction, on the calling thread; an exception raised by it ends the search.
     """
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
-    parts = stripes(frames.shape[0])
-    threads = min(threads or cores(), len(parts))
-    benches: queue.SimpleQueue[ThreadScratch] = queue.SimpleQueue()
-    for _ in range(threads):
-        benches.put(ThreadScratch.make(frames.n_frames, (parts[0].stop, frames.shape[1]), search, frames.dtype))
+    parts = stripes(frames.shape, STRIPE_ROWS)
 
-    def one(rows: slice) -> None:
-        bench = benches.get()
-        search_part(frames, rows, slice(0, frames.shape[1]), search, bench, peaks.rows(rows))
-        benches.put(bench)
+    def search_parts(todo: Iterator[Part]) -> None:
+        bench = ThreadScratch.make(frames.n_frames, (parts[0].rows.stop, frames.shape[1]), search, frames.dtype)
+        for part, block in developed(frames, todo, search.margin_px):
+            search_block(block, frames.z_um, search, bench.cut(rows_in(part.rows)), peaks.rows(part.rows))
 
-    for done, _ in enumerate(_each(one, parts, threads), 1):
-        if progress is not None:
-            progress(done / len(parts))
+    on_threads(search_parts, parts, threads, progress)
     return peaks
-
-
-def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: ThreadScratch, out: Peaks) -> None:
-    """Search the peaks of the pixels [rows, cols] of a field and store them in `out`."""
-    bench = bench.cut(rows.stop - rows.start)
-    source = source_of(frames, rows, cols, search.margin_px, bench.block)
-    search_block(source, frames.z_um, search, bench, out)
 
 
 def search_block(
@@ -214,23 +187,6 @@ def find_peaks(
         noise = search.noise(out.all_in_focus.dtype)
         describe_centred(curves, source, z_um, search.gap, window, noise, spots, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
-
-
-def stripes(n_rows: int) -> list[slice]:
-    """Return the rows of a field in parts whose focus volumes fit in cache."""
-    return [slice(start, min(n_rows, start + STRIPE_ROWS)) for start in range(0, n_rows, STRIPE_ROWS)]
-
-
-def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> Iterator[None]:
-    """Process the parts sequentially or on a thread pool; the kernels release the GIL."""
-    if threads == 1:
-        yield from map(work, parts)
-        return
-    pool = ThreadPoolExecutor(threads)
-    try:
-        yield from pool.map(work, parts)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 _SIDE_PX = 224

@@ -29,13 +29,13 @@ from wafer_viewer.numerics.jit import (
 from wafer_viewer.reconstruct.focus.focus_volume import (
     Focusing,
     FocusKernels,
-    StackSource,
     Volume,
     accumulate_row,
     count_clipped,
     empty,
     take_grey,
 )
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 
 SML, TENENGRAD, GLV = 0, 1, 2
 """Codes of the measures, for the kernels."""

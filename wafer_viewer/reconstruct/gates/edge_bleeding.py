@@ -22,10 +22,11 @@ from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.filters.sliding_filters import blurred, doubled, highest, lowest, repeated
-from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads, read_part, row_parts, source_of_rows
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
+from wafer_viewer.reconstruct.frame_blocks import Frames, Part, Window, developed, read_part, stripes
 from wafer_viewer.reconstruct.gates.edge_sides import (
     BAND_REACH_PX,
     STANDING_GAPS,
@@ -53,7 +54,6 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 AGREEING_STEPS = 0.75
 """Tolerance for heights of the same surface, in steps of the resolution: tests/truth/unseen.py."""
@@ -277,22 +277,20 @@ def _search_along(
     expected[is_wanted] = np.interp(wanted_um[is_wanted], frames.z_um, np.arange(frames.n_frames))
     stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
 
-    def one(at: tuple[slice, slice]) -> None:
-        part, (rows, cols) = (
-            np.ascontiguousarray(expected[at]),
-            at,
-        )  # a separate specialisation would be compiled for views
-        first = max(0, int(np.fmin.reduce(part, axis=None)) - near.frames)
-        stop = min(frames.n_frames, int(np.fmax.reduce(part, axis=None)) + 2 + near.frames)
-        tile = Tile.make(stop - first, part.shape, how.window)
-        block = read_part(frames, slice(first, stop), rows, cols, margin)
-        tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
-        found_um, found_fall = np.empty(part.shape, np.float32), np.empty(part.shape, np.float32)
-        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
-        np.copyto(z_um[at], found_um, where=is_wanted[at])
-        np.copyto(fall[at], found_fall, where=is_wanted[at])
+    def search_tiles(todo: Iterator[Window]) -> None:
+        for at in todo:
+            part = np.ascontiguousarray(expected[at])  # a separate specialisation would be compiled for views
+            first = max(0, int(np.fmin.reduce(part, axis=None)) - near.frames)
+            stop = min(frames.n_frames, int(np.fmax.reduce(part, axis=None)) + 2 + near.frames)
+            tile = Tile.make(stop - first, part.shape, how.window)
+            block = read_part(frames, Part(*at, slice(first, stop)), margin)
+            tangential_levels(block, how.window, stabiliser, _around(wall, *at, margin - 3), tile)
+            found_um, found_fall = np.empty(part.shape, np.float32), np.empty(part.shape, np.float32)
+            peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
+            np.copyto(z_um[at], found_um, where=is_wanted[at])
+            np.copyto(fall[at], found_fall, where=is_wanted[at])
 
-    on_threads(one, _tiles(is_wanted), threads)
+    on_threads(search_tiles, _tiles(is_wanted), threads)
 
 
 def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
@@ -303,7 +301,7 @@ def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
     return around
 
 
-def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
+def _tiles(wanted: NDArray[np.bool_]) -> Iterator[Window]:
     """Yield the tightest tiles around the wanted pixels of a grid of squares."""
     n_rows, n_cols = wanted.shape
     for top in range(0, n_rows, _TILE_PX):
@@ -319,8 +317,9 @@ def _outline_grey(frames: Frames, band: Band, threads: int | None) -> NDArray[np
     """Return the grey image used to classify the sides of walls."""
     grey = np.zeros(frames.shape, np.float32)
 
-    def one(rows: slice) -> None:
-        outline_grey(source_of_rows(frames, rows, 1), rows.start, band.inside, band.frame, grey[rows])
+    def add_parts(todo: Iterator[Part]) -> None:
+        for (rows, *_), block in developed(frames, todo, 1):
+            outline_grey(block, rows.start, band.inside, band.frame, grey[rows])
 
-    on_threads(one, row_parts(frames.shape[0], _TILE_PX), threads)
+    on_threads(add_parts, stripes(frames.shape, _TILE_PX), threads)
     return grey

@@ -21,7 +21,8 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.filters.interpolation import local_planes
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean, mean_of_valid
 from wafer_viewer.numerics.jit import Bools, Float32s, Greys, Int, Int64s, UInt8s, UInt16s, lean_kernel
-from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, StackSource
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX
+from wafer_viewer.reconstruct.frame_blocks import StackSource
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 
 # --------------------------------------------------------------------------------------------------------- height cells

@@ -10,13 +10,14 @@ have half the resolution: pixel (i, j) stands for the 2 x 2 pixels from (2 i, 2 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int32s, Real, UInt16s, lean_kernel, lean_part, quick_log2
-from wafer_viewer.reconstruct.focus.focus_volume import StackSource, on_threads, row_parts, source_of_rows, take_grey
-from wafer_viewer.reconstruct.preprocess.frames import Frames
+from wafer_viewer.reconstruct.focus.focus_volume import on_threads, take_grey
+from wafer_viewer.reconstruct.frame_blocks import Frames, Part, StackSource, developed, stripes
 
 SILHOUETTE_MARGIN_PX = 6
 """Reach of the map beyond its pixels."""
@@ -94,13 +95,12 @@ def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
     found = Silhouette.empty(frames.shape)
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
 
-    def one(rows: slice) -> None:
-        source = source_of_rows(frames, rows, SILHOUETTE_MARGIN_PX)
-        silhouette_block(
-            source, 0, 1, dark_counts, SilhouetteRows.make(frames.shape[1], frames.dtype), found.rows(rows)
-        )
+    def add_parts(todo: Iterator[Part]) -> None:
+        rows = SilhouetteRows.make(frames.shape[1], frames.dtype)
+        for part, block in developed(frames, todo, SILHOUETTE_MARGIN_PX):
+            silhouette_block(block, 0, 1, dark_counts, rows, found.rows(part.rows))
 
-    on_threads(one, row_parts(frames.shape[0], _STRIPE_ROWS), threads)
+    on_threads(add_parts, stripes(frames.shape, _STRIPE_ROWS), threads)
     return found
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Noise
 from wafer_viewer.numerics.jit import Greys
-from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
+from wafer_viewer.reconstruct.frame_blocks import Frames, Part, read_part
 
 Floats = NDArray[np.floating[Any]]
 
@@ -97,11 +97,11 @@ def estimate_camera_noise(frames: Frames) -> CameraNoise:
     strips = _sample(frames)
     step = _count_step(strips)
     least = CameraNoise(
-        _white(frames) / NOISE_ESTIMATE.most_electrons, QUANTISATION_COUNTS2 * max(step, frames.scale) ** 2
+        frames.clipped_counts / NOISE_ESTIMATE.most_electrons, QUANTISATION_COUNTS2 * max(step, frames.scale) ** 2
     )
     grey, variance, weight = _levels(_unclipped_cells(strips, frames.clipped_counts))
     if not grey.size:
-        return CameraNoise(_white(frames) / NOISE_ESTIMATE.usual_electrons, least.floor_counts2)
+        return CameraNoise(frames.clipped_counts / NOISE_ESTIMATE.usual_electrons, least.floor_counts2)
     return _line(grey, variance, weight, least)
 
 
@@ -127,8 +127,7 @@ def _sample(frames: Frames) -> Greys:
     picked = np.unique(np.linspace(0, frames.n_frames - 1, NOISE_ESTIMATE.frames).round().astype(int))
     strips: list[Greys] = []
     for top in np.unique(np.linspace(0, n_rows - high, 2 * NOISE_ESTIMATE.strips + 1).astype(int)[1::2]):
-        strip = np.empty((frames.n_frames, high, n_cols), frames.dtype)
-        read_block(frames, slice(int(top), int(top) + high), slice(0, n_cols), 0, strip)
+        strip = read_part(frames, Part(slice(int(top), int(top) + high), slice(0, n_cols)))
         strips.append(strip[picked])
     return np.concatenate(strips)
 
@@ -138,10 +137,6 @@ def _count_step(strips: Greys) -> int:
     used = int(np.bitwise_or.reduce(strips, axis=None))
     lowest = used & -used
     return lowest if strips.dtype.itemsize > 1 and 0 < lowest <= 256 else 1
-
-
-def _white(frames: Frames) -> float:
-    return float(frames.clipped_counts)
 
 
 def _unclipped_cells(strips: Greys, clipped_counts: int) -> _Cells:

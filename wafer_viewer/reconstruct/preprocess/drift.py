@@ -13,6 +13,7 @@ drift is steady. All frames are registered to their mean, as is usual where a le
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.grids.resampling import REACH as TAPS_REACH
+from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels, Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,28 +335,46 @@ Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drift:
+class Drift(Correction):
     """Drift of the frames: a field point p, from the middle, lies at exp(growth[k]) p + shift_px[k] in frame k.
 
-    Coordinates are (rows, cols). shape: (rows, cols) of the field; corner: position of the first pixel read in the
-    field (not 0 for a part of a field).
+    Coordinates are (rows, cols). shape: (rows, cols) of the field.
     """
 
     shift_px: Floats
     growth: Floats
     shape: tuple[int, int]
-    corner: tuple[int, int] = (0, 0)
 
-    def places(self, k: int, axis: int, first: int, stop: int) -> Floats:
-        """Return the positions in frame k of the field's rows (axis 0) or columns (1) from first to stop - 1."""
-        middle = (self.shape[axis] - 1) / 2 - self.corner[axis]
-        return middle + np.exp(self.growth[k]) * (np.arange(first, stop) - middle) + self.shift_px[k, axis]
+    def places(self, frames: slice, axis: int, points: Ints) -> Floats:
+        """Return the positions of some of the field's rows (axis 0) or columns (1) in a range of frames, [n, point]."""
+        middle, growth = (self.shape[axis] - 1) / 2, self.growth[frames, None]
+        return middle + np.exp(growth) * (points - middle) + self.shift_px[frames, axis, None]
 
-    def covered(self, axis: int, length: int) -> slice:
-        """Return the range of the first `length` rows or columns that is covered by every frame."""
-        positions = np.array([self.places(k, axis, 0, length) for k in range(len(self.growth))]) + self.corner[axis]
-        inside = np.flatnonzero(((positions > -0.5) & (positions < self.shape[axis] - 0.5)).all(axis=0))
+    def covered(self, axis: int) -> slice:
+        """Return the range of rows or columns that is covered by every frame."""
+        length = self.shape[axis]
+        positions = self.places(slice(None), axis, np.arange(length))
+        inside = np.flatnonzero(((positions > -0.5) & (positions < length - 0.5)).all(axis=0))
         return slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
+
+    def window(self, frames: slice, wanted: Window) -> Window:
+        """Return the pixels within reach of the wanted ones in all of a range of frames, at least the border."""
+        rows, cols = (self._reached(frames, axis, part) for axis, part in enumerate(wanted))
+        return rows, cols
+
+    def _reached(self, frames: slice, axis: int, part: slice) -> slice:
+        places, length = self.places(frames, axis, np.array([part.start, part.stop - 1])), self.shape[axis]
+        first, last = math.floor(places.min()) - TAPS_REACH, math.floor(places.max()) + TAPS_REACH
+        return slice(min(max(0, first), length - 1), max(1, min(last + 1, length)))
+
+    def applied(self, pixels: Pixels) -> Pixels:
+        """Resample each frame at the positions of the wanted pixels."""
+        (images,), (rows, cols), (down, across) = pixels.layers, pixels.window, pixels.wanted
+        down_px = self.places(pixels.frames, 0, np.arange(down.start, down.stop)) - rows.start
+        across_px = self.places(pixels.frames, 1, np.arange(across.start, across.stop)) - cols.start
+        places = zip(images, down_px, across_px, strict=True)
+        resampled_images = np.stack([resampled(image, Taps.at(y), Taps.at(x)) for image, y, x in places])
+        return pixels._replace(layers=(resampled_images,))
 
 
 def drift_of(sightings: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | None:

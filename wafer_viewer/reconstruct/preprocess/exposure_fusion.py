@@ -19,7 +19,7 @@ texture of the surface is blended.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -31,6 +31,7 @@ from wafer_viewer.model.acquisition.calibration import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt16s, kernel
+from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels
 
 # ------------------------------------------------------------------------------------------------------ exposure fusion
 
@@ -84,54 +85,42 @@ EXPOSURE_RATIO = ExposureRatioParameters()
 Cells = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
-ReadPart = Callable[[Image, int], Image]
-"""Reads a part [row, col] of one slot of an exposure's images."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ZTaps:
-    """Interpolation of an exposure to the z of the stack: the slots of two of its frames and the weight of the upper.
-
-    All are arrays over the slots of the stack.
-    """
+    """Interpolation of an exposure to the z of the stack: two of its frames and the weight of the upper, [k]."""
 
     lower: NDArray[np.intp]
     upper: NDArray[np.intp]
     weight: NDArray[np.float32]
 
-    def part(self, images: Image, slot: int, read: ReadPart, clipped_counts: int) -> Image:
-        """Return the part of a slot between two frames; clipped where one of them is."""
-        below, above = read(images, int(self.lower[slot])), read(images, int(self.upper[slot]))
-        between = below + self.weight[slot] * (above.astype(np.float32) - below)
+    def between(self, below: Image, above: Image, frames: slice, clipped_counts: int) -> Image:
+        """Return the pixels [n, row, col] between those of two frames; clipped where one of them is."""
+        between = below + self.weight[frames, None, None] * (above.astype(np.float32) - below)
         part: Image = np.maximum(below, above)
         np.copyto(part, np.rint(between), where=part < clipped_counts, casting="unsafe")
         return part
 
 
-def z_taps(own_um: NDArray[np.float64], z_um: NDArray[np.float64], slots: NDArray[np.intp]) -> ZTaps | None:
-    """Return the interpolation of an exposure at own_um [slot] to z_um [slot]; None if they hardly differ.
+def z_taps(own_um: NDArray[np.float64], z_um: NDArray[np.float64]) -> ZTaps | None:
+    """Return the interpolation of an exposure at own_um [k] to z_um [k], which rise; None if they hardly differ.
 
-    slots: those in use, in order of rising z. At the ends the nearest frame is used.
+    At the ends the nearest frame is used.
     """
-    own, wanted = own_um[slots], z_um[slots]
-    if np.abs(own - wanted).max() <= OFFSET_STEPS * np.median(np.diff(wanted)):
+    if np.abs(own_um - z_um).max() <= OFFSET_STEPS * np.median(np.diff(z_um)):
         return None
-    above = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
-    weight = np.clip((wanted - own[above - 1]) / (own[above] - own[above - 1]), 0.0, 1.0)
-    lower, upper, weights = np.arange(len(z_um)), np.arange(len(z_um)), np.zeros(len(z_um), np.float32)
-    lower[slots], upper[slots], weights[slots] = slots[above - 1], slots[above], weight
-    return ZTaps(lower, upper, weights)
+    above = np.clip(np.searchsorted(own_um, z_um), 1, len(own_um) - 1)
+    weight = np.clip((z_um - own_um[above - 1]) / (own_um[above] - own_um[above - 1]), 0.0, 1.0)
+    return ZTaps(above - 1, above, weight.astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fusion:
-    """Exposures of a stack, the shortest first: images [slot, row, col] and gains relative to the shortest.
+class Fusion(Correction):
+    """Fusion of exposures, the shortest first, with gains relative to it.
 
-    taps: interpolation to the z of the stack, for each exposure that was taken at other z; order: of the images among
-    the exposures of the stack; flicker: gains of each exposure [slot] relative to their median, empty without flicker.
+    taps: interpolation to the z of the stack, for each exposure that was taken at other z; order: of the exposures in
+    the stack; flicker: gains of each exposure [k] relative to their median, empty without flicker.
     """
 
-    images: tuple[Image, ...]
     gains: tuple[float, ...]
     black_counts: float
     white_counts: int
@@ -150,44 +139,50 @@ class Fusion:
         """Grey from which a pixel of the fused image counts as clipped."""
         return int(self.scale * (self.clipped_counts - self.black_counts)) - 1
 
-    def with_flicker(self, gains: Sequence[NDArray[np.float64]], slots: NDArray[np.intp]) -> Fusion:
+    def fused_counts(self, counts: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return counts of the shortest exposure as fused counts."""
+        return np.float32(self.scale) * (counts - np.float32(self.black_counts))
+
+    def with_flicker(self, gains: Sequence[NDArray[np.float64]]) -> Fusion:
         """Return the fusion of exposures that flicker: the gains [k] of each, in the order of the stack."""
         found: list[NDArray[np.float32]] = []
         for n, taps in zip(self.order, self.taps, strict=True):
-            of_slot = np.ones(len(self.images[0]), np.float32)
-            of_slot[slots] = gains[n]
-            between = (
-                None if taps is None else of_slot[taps.lower] * (1 - taps.weight) + of_slot[taps.upper] * taps.weight
-            )
-            found.append(of_slot if between is None else between.astype(np.float32))
+            own = gains[n].astype(np.float32)
+            between = None if taps is None else own[taps.lower] * (1 - taps.weight) + own[taps.upper] * taps.weight
+            found.append(own if between is None else between.astype(np.float32))
         return dataclasses.replace(self, flicker=tuple(found))
 
-    def _gains_at(self, slot: int) -> list[np.float32]:
-        """Return the gain of each exposure in a slot."""
+    def applied(self, pixels: Pixels) -> Pixels:
+        """Fuse the exposures, of which those with taps have two layers."""
+        layers, frames = iter(pixels.layers), pixels.frames
+        exposures = [
+            next(layers) if taps is None else taps.between(next(layers), next(layers), frames, self.clipped_counts)
+            for taps in self.taps
+        ]
+        out = np.empty(exposures[0].shape, np.uint16)
+        for n, k in enumerate(range(frames.start, frames.stop)):
+            self._fuse([exposure[n] for exposure in exposures], self._gains_at(k), out[n])
+        return pixels._replace(layers=(out,))
+
+    def _gains_at(self, k: int) -> list[np.float32]:
+        """Return the gain of each exposure in a frame."""
         steady = [np.float32(gain) for gain in self.gains]
         if not self.flicker:
             return steady
-        return [np.float32(gain * of_slot[slot]) for gain, of_slot in zip(steady, self.flicker, strict=True)]
+        return [np.float32(gain * of_frames[k]) for gain, of_frames in zip(steady, self.flicker, strict=True)]
 
-    def fused(self, slot: int, read: ReadPart) -> NDArray[np.uint16]:
-        """Fuse a part of a slot [row, col] from all exposures."""
-        parts = [
-            read(images, slot) if taps is None else taps.part(images, slot, read, self.clipped_counts)
-            for images, taps in zip(self.images, self.taps, strict=True)
-        ]
-        shape, gains = parts[0].shape, self._gains_at(slot)
-        light, gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    def _fuse(self, parts: list[Image], gains: list[np.float32], out: NDArray[np.uint16]) -> None:
+        """Fuse a part of a frame [row, col] from all exposures."""
+        light, gain = np.zeros(out.shape, np.float32), np.zeros(out.shape, np.float32)
         knee = np.float32(FADES_FROM * self.clipped_counts)
         fade = np.float32(1 / (self.clipped_counts - knee))
         for part, of_part in zip(parts[1:], gains[1:], strict=True):
             _add(part, np.float32(self.black_counts), of_part, knee, fade, light, gain)
-        out = np.empty(shape, np.uint16)
         _finish(parts[0], np.float32(self.black_counts), gains[0], np.float32(self.scale), light, gain, out)
-        return out
 
 
 def fusion_of(
-    images: tuple[Image, ...],
+    images: Sequence[Image],
     slots: NDArray[np.intp],
     nominal: tuple[float, ...],
     white_counts: int,
@@ -205,8 +200,8 @@ def fusion_of(
     black = [pair[1] for pair in pairs if pair[0] > EXPOSURE_RATIO.alike]
     black_counts = float(np.clip(np.median(black), 0, EXPOSURE_RATIO.most_black * white_counts)) if black else 0.0
     gains = np.cumprod([1.0, *(pair[0] for pair in pairs)])
-    in_order = tuple(images[i] for i in order), tuple(gains.tolist())
-    return Fusion(*in_order, black_counts, white_counts, clipped, tuple(taps[i] for i in order), tuple(order.tolist()))
+    in_order = tuple(taps[i] for i in order), tuple(order.tolist())
+    return Fusion(tuple(gains.tolist()), black_counts, white_counts, clipped, *in_order)
 
 
 def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:
@@ -284,16 +279,13 @@ def _finish(
 # ----------------------------------------------------------------------------------------------------------- flat field
 
 
-def without_shading(picture: Image, shading: ImageShading | None, fusion: Fusion | None = None) -> Image:
+def without_shading(picture: Image, shading: ImageShading | None) -> Image:
     """Return an image as a camera of equal sensitivity and without a dark level takes it.
 
-    fusion: of the exposures that the image was made of, in whose counts it is.
+    shading: in the counts of the image.
     """
     if shading is None:
         return picture
-    dark = shading.dark_counts
-    if fusion is not None:
-        dark = np.float32(fusion.scale) * (dark - np.float32(fusion.black_counts))
-    light = (picture - dark) / shading.sensitivity
+    light = (picture - shading.dark_counts) / shading.sensitivity
     counts: Any = np.clip(np.rint(light), 0, np.iinfo(picture.dtype).max)
     return counts.astype(picture.dtype)

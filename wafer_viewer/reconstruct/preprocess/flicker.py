@@ -24,6 +24,7 @@ from scipy.ndimage import median_filter
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.jit import Greys, Real, UInt16s, kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels
 
 Gains = NDArray[np.float64]
 
@@ -94,6 +95,20 @@ class Flicker:
     gains: Gains
     spread: float
     rest: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlickerGains(Correction):
+    """Factors that divide the frames by their gains, float32 [k]."""
+
+    factors: NDArray[np.float32]
+
+    def applied(self, pixels: Pixels) -> Pixels:
+        """Return the pixels in corrected counts."""
+        out = np.empty(pixels.layers[0].shape, np.uint16)
+        for part, factor, of_part in zip(pixels.layers[0], self.factors[pixels.frames], out, strict=True):
+            divide_by_gain(part, factor, of_part)
+        return pixels._replace(layers=(out,))
 
 
 FlickerCells = tuple[NDArray[np.float64], NDArray[np.float64]]

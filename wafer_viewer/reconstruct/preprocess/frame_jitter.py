@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.surface.frame_health import gap_u_um
 from wafer_viewer.numerics.normal_statistics import student
-from wafer_viewer.reconstruct.preprocess.frames import Frames, read_block
+from wafer_viewer.reconstruct.frame_blocks import Frames, Part, read_part
 
 # ----------------------------------------------------------------------------------------------------------- frame gaps
 
@@ -180,9 +180,8 @@ def _block_means(frames: Frames, side: int) -> Iterator[Blocks]:
     """Yield the means [k, block] of the blocks in bands of rows that are spread over the frame."""
     rows, cols = frames.shape[0] // side, frames.shape[1] // side * side
     bands = min(rows, max(1, round(FRAME_JITTER.sampled_px / (side * cols))))
-    block = np.empty((frames.n_frames, side, cols), frames.dtype)
     for band in np.unique(np.linspace(0, rows - 1, bands).astype(int)).tolist():
-        read_block(frames, slice(band * side, (band + 1) * side), slice(0, cols), 0, block)
+        block = read_part(frames, Part(slice(band * side, (band + 1) * side), slice(0, cols)))
         columns = block.sum(axis=1, dtype=np.uint32)
         yield columns.reshape(frames.n_frames, -1, side).sum(axis=2).astype(np.float32) / side**2
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels
 
 LEAST_FRAMES = 6
 """In fewer frames a sharp detail of the sample may look the same in all of them."""
@@ -62,7 +63,7 @@ Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flaws:
+class Flaws(Correction):
     """Defective pixels sorted by row, with two sound neighbours each: [flaw, (row, col)] arrays."""
 
     at: Places
@@ -72,31 +73,25 @@ class Flaws:
     def __len__(self) -> int:
         return len(self.at)
 
-    def part(self, rows: slice, cols: slice) -> Flaws:
-        """Return the defects in the pixels [rows, cols] with both neighbours inside, relative to that origin."""
-        begin, end = np.array([rows.start, cols.start]), np.array([rows.stop, cols.stop])
-        inside = np.all([((p >= begin) & (p < end)).all(axis=1) for p in (self.at, self.one, self.other)], axis=0)
-        return Flaws(self.at[inside] - begin, self.one[inside] - begin, self.other[inside] - begin)
-
-    def touch(self, rows: slice) -> bool:
+    def changes(self, rows: slice) -> bool:
         """Return whether any defect lies in these rows."""
         first, last = self._within(rows)
         return first < last
 
-    def mend(self, part: Image, images: Image, slots: Places, rows: slice, cols: slice) -> None:
-        """Replace the defects in `part` [k, row, col], which holds the pixels [rows, cols] of the images `slots`.
-
-        Each becomes the mean of its sound neighbours, which are read from the images because a part may end at a
-        defect.
-        """
+    def applied(self, pixels: Pixels) -> Pixels:
+        """Replace each defect by the mean of its sound neighbours, which are read as stored: they may lie beyond."""
+        rows, cols = pixels.window
         first, last = self._within(rows)
         inside = (self.at[first:last, 1] >= cols.start) & (self.at[first:last, 1] < cols.stop)
         if not inside.any():
-            return
+            return pixels
         at, one, other = (of_all[first:last][inside].T for of_all in (self.at, self.one, self.other))
-        k, pixels = slots[:, None], np.asarray(images)
-        sum_of_two = pixels[k, one[0], one[1]].astype(np.int32) + pixels[k, other[0], other[1]]
-        part[:, at[0] - rows.start, at[1] - cols.start] = (sum_of_two + 1) // 2
+        mended = [layer.copy() for layer in pixels.layers]
+        for layer, stored in zip(mended, pixels.stored, strict=True):
+            k, images = stored.slots[pixels.frames][:, None], np.asarray(stored.images)
+            sum_of_two = images[k, one[0], one[1]].astype(np.int32) + images[k, other[0], other[1]]
+            layer[:, at[0] - rows.start, at[1] - cols.start] = (sum_of_two + 1) // 2
+        return pixels._replace(layers=tuple(mended))
 
     def _within(self, rows: slice) -> tuple[int, int]:
         """Return the index of the first defect in these rows, and one past the last."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,15 +62,16 @@ def compare(
     found = [Seam()] * len(pairs)
     done = 0
 
-    def one(n: int) -> None:
+    def compare(todo: Iterator[int]) -> None:
         nonlocal done
-        a, b = int(pairs[n, 0]), int(pairs[n, 1])
-        found[n] = compare_pair(heights[a], heights[b], (x_um[a], y_um[a]), (x_um[b], y_um[b]))
-        done += 1
-        if progress is not None:
-            progress(done / len(pairs))
+        for n in todo:
+            a, b = int(pairs[n, 0]), int(pairs[n, 1])
+            found[n] = compare_pair(heights[a], heights[b], (x_um[a], y_um[a]), (x_um[b], y_um[b]))
+            done += 1
+            if progress is not None:
+                progress(done / len(pairs))
 
-    on_threads(one, range(len(pairs)), threads)
+    on_threads(compare, range(len(pairs)), threads)
     return _table(pairs, found)
 
 

@@ -20,7 +20,7 @@ that end in a likeness agree.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -264,14 +264,15 @@ def _each(
     found: list[PairShift] = [_by_stage(RejectionReason.BLANK)] * len(pairs)
     done = 0
 
-    def one(n: int) -> None:
+    def register_some(todo: Iterator[int]) -> None:
         nonlocal done
-        found[n] = work(n)
-        done += 1
-        if progress is not None:
-            progress(done / len(pairs))
+        for n in todo:
+            found[n] = work(n)
+            done += 1
+            if progress is not None:
+                progress(done / len(pairs))
 
-    on_threads(one, range(len(pairs)), threads)
+    on_threads(register_some, range(len(pairs)), threads)
     return _table(pairs, found)
 
 
