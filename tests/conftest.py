@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,6 +19,8 @@ from tests.support.patience import PATIENCE_S
 # are to hear it however the tests were started.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+CAMERAS = "tests/rigs/cameras/"
 
 took: Counter[str] = Counter()
 """Seconds by file."""
@@ -41,6 +44,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if skipped := [item for item in items if not runs_now(item)]:
         config.hook.pytest_deselected(items=skipped)
         items[:] = [item for item in items if runs_now(item)]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Send the files about cameras to one worker: the simulated GigE camera is there once, and they wait for it."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class LoadDeviceScheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return CAMERAS if nodeid.startswith(CAMERAS) else super()._split_scope(nodeid)
+
+    return LoadDeviceScheduling(config, log)
 
 
 def runs_now(item: pytest.Item) -> bool:

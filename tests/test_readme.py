@@ -1,10 +1,11 @@
-"""The examples of the README and of the pages it links run as they stand, in its order, in one empty folder."""
+"""The examples of the README and of each page that it links run as they stand, in an empty folder."""
 
 from __future__ import annotations
 
 import re
 import runpy
 import shlex
+import shutil
 from pathlib import Path
 from textwrap import dedent
 
@@ -29,8 +30,8 @@ def pages() -> list[Path]:
     return [ROOT / "README.md", *(ROOT / link for link in linked if link.endswith(".md"))]
 
 
-def examples() -> list[tuple[str, str]]:
-    return [(kind, dedent(body)) for page in pages() for _, kind, body in BLOCK.findall(page.read_text())]
+def examples(page: Path) -> list[tuple[str, str]]:
+    return [(kind, dedent(body)) for _, kind, body in BLOCK.findall(page.read_text())]
 
 
 def test_the_readme_is_short_and_every_page_is_linked():
@@ -100,25 +101,58 @@ def printed_steps(text: str) -> list[tuple[float, float]]:
     return [(float(height), float(u)) for height, u in (*of_python, *of_command)]
 
 
-@pytest.mark.slow
-def test_every_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+@pytest.fixture(scope="module")
+def wafer(tmp_path_factory):
+    """The scan of the README, which other pages go on with."""
+    folder = tmp_path_factory.mktemp("readme")
+    done = viewer("scan", ROOT / "assets/plans/wafer.toml", "-o", folder / "scan.wafer")
+    assert done.returncode == 0, done.stderr
+    return folder / "scan.wafer"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The working directory of a reader of the documentation."""
     (tmp_path / "assets").symlink_to(ROOT / "assets")
     monkeypatch.chdir(tmp_path)
-    assert sum(run_example(kind, body) for kind, body in examples()) >= 8
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_every_example_of_the_readme_runs(folder, capsys):
+    assert sum(run_example(kind, body) for kind, body in examples(ROOT / "README.md")) == 3
+    ((height, u),) = printed_steps(capsys.readouterr().out)
+    assert abs(height - DEPTH_UM) <= u
+
+
+PAGES_WITH_EXAMPLES = [page for page in pages()[1:] if examples(page)]
+STEPS = {"command-line.md": 1, "python.md": 1}
+"""Steps of the virtual wafer that the examples of a page print."""
+
+
+def test_the_documentation_has_its_examples():
+    assert len(PAGES_WITH_EXAMPLES) >= 8
+    assert {page.name for page in PAGES_WITH_EXAMPLES} >= set(STEPS)
+
+
+@pytest.mark.slow
+@pytest.mark.campaign
+@pytest.mark.parametrize("page", PAGES_WITH_EXAMPLES, ids=lambda page: page.stem)
+def test_every_example_of_a_page_runs(page, folder, request, capsys):
+    if "scan.wafer" in page.read_text():
+        shutil.copytree(request.getfixturevalue("wafer"), folder / "scan.wafer")
+    assert sum(run_example(kind, body) for kind, body in examples(page)) >= 1
     steps = printed_steps(capsys.readouterr().out)
-    assert len(steps) == 3, "README, Python, command line"
+    assert len(steps) == STEPS.get(page.name, 0)
     assert not [(height, u) for height, u in steps if abs(height - DEPTH_UM) > u]
 
 
 @pytest.mark.slow
 @pytest.mark.campaign
 @pytest.mark.parametrize("scan", range(5))
-def test_u_of_the_readme_covers_the_truth_on_several_scans(tmp_path, monkeypatch, capsys, scan):
+def test_u_of_the_readme_covers_the_truth_on_several_scans(folder, capsys, scan):
     """The noise of the virtual rig is new in every scan."""
-    (tmp_path / "assets").symlink_to(ROOT / "assets")
-    monkeypatch.chdir(tmp_path)
-    for _, kind, body in BLOCK.findall((ROOT / "README.md").read_text()):
-        if kind == "python" or " scan " in body:
-            run_example(kind, dedent(body))
+    for kind, body in examples(ROOT / "README.md"):
+        run_example(kind, body)
     ((height, u),) = printed_steps(capsys.readouterr().out)
     assert abs(height - DEPTH_UM) <= u <= 0.3

@@ -96,10 +96,10 @@ def slots_off(leg, frames, limits):
 @pytest.mark.slow
 def test_frames_with_lost_packets_are_taken_again_and_none_slips(aravis):
     fake, connect = aravis
-    fake(lost=0.05)
+    fake(lost=0.08)
     rig = GigERig(connect(trigger="Software", rows=ROWS, cols=COLS))
     fields = tuple(Field(number=i, row=0, col=i, x_um=50.0 * i, y_um=0.0, z_start_um=0.0) for i in (1, 2))
-    plan = plan_scan(fields, FocusSweep(z_step_um=1.0, n_frames=12), (1000.0,), rig.limits, "z_snake")
+    plan = plan_scan(fields, FocusSweep(z_step_um=1.0, n_frames=6), (1000.0,), rig.limits, "z_snake")
     sink = Sink()
     outcome = run_scan(plan, rig, sink, Control())
     rig.close()
