@@ -26,10 +26,11 @@ from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import decode
 from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.image_files import pictures, preview
+from wafer_viewer.store.dataset.preview import preview
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.formats.conversion import export, read_surface
 from wafer_viewer.store.formats.npz_file import read_npz
+from wafer_viewer.store.images.image_files import planes_of
 from wafer_viewer.store.io.checksums import strip_checksum
 from wafer_viewer.store.io.guarded_reading import FACTOR, read_content
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses
@@ -180,7 +181,7 @@ def png(rows: int, cols: int) -> bytes:
 def test_an_image_of_too_many_pixels_is_refused_and_has_no_preview(tmp_path):
     path = tmp_path / "large.png"
     path.write_bytes(png(30_000, 30_016))
-    says = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
+    says = refusal(path, lambda file: [picture.read() for picture in planes_of(file)])
     assert "large.png has 30016 x 30000 pixels, more than 179 million" in says
     assert preview(path) == b""
 
@@ -208,9 +209,9 @@ def webp(kind: str, rows: int, cols: int) -> bytes:
 def test_a_webp_of_more_pixels_than_it_can_hold_is_refused_before_it_is_decoded(tmp_path, kind):
     path = tmp_path / "large.webp"
     path.write_bytes(webp(kind, 48, 64))
-    assert pictures(path)[0].read().shape == (48, 64)
+    assert planes_of(path)[0].read().shape == (48, 64)
     path.write_bytes(webp(kind, 9000, 11_000))
-    outcome = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
+    outcome = refusal(path, lambda file: [picture.read() for picture in planes_of(file)])
     assert "large.webp states 11000 x 9000 pixels in" in outcome
     assert preview(path) == b""
 
@@ -219,14 +220,14 @@ def test_an_animation_is_refused_and_not_read_as_its_first_frame(tmp_path):
     path = tmp_path / "stack.webp"
     first, *others = (PIL.Image.fromarray(np.full((48, 64, 3), 40 * n, np.uint8)) for n in range(3))
     first.save(path, save_all=True, append_images=others)
-    says = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
+    says = refusal(path, lambda file: [picture.read() for picture in planes_of(file)])
     assert "it is an animation of 3 frames" in says
 
 
 def test_a_blank_webp_of_a_common_camera_is_read(tmp_path):
     path = tmp_path / "blank.webp"
     PIL.Image.new("RGB", (2448, 2048), (9, 9, 9)).save(path, lossless=True)
-    assert pictures(path)[0].read().shape == (2048, 2448)
+    assert planes_of(path)[0].read().shape == (2048, 2448)
 
 
 def test_a_compressed_tiff_of_too_many_pixels_is_refused(tmp_path):
@@ -240,7 +241,7 @@ def test_a_compressed_tiff_of_too_many_pixels_is_refused(tmp_path):
             content[tag.offset + 8 : tag.offset + 12] = struct.pack("<HH", 40_000, 0)
             content[tag.offset + 2 : tag.offset + 4] = struct.pack("<H", 3)
     path.write_bytes(content)
-    says = refusal(path, lambda file: [picture.read() for picture in pictures(file)])
+    says = refusal(path, lambda file: [picture.read() for picture in planes_of(file)])
     assert "has 40000 x 40000 pixels, more than 179 million" in says
 
 

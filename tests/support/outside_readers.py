@@ -42,10 +42,11 @@ from wafer_viewer.session.core.dataset_library import load_summary
 from wafer_viewer.session.planning.job_releases import read_job
 from wafer_viewer.session.session_restore import SessionRestore
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.image_files import pictures, preview
 from wafer_viewer.store.dataset.lock import holder_of
+from wafer_viewer.store.dataset.preview import preview
 from wafer_viewer.store.formats.conversion import export, is_surface_file, read_surface
 from wafer_viewer.store.formats.npz_file import read_npz
+from wafer_viewer.store.images.image_files import planes_of
 from wafer_viewer.store.mosaic.poses_file import read_planes, read_poses, write_planes
 from wafer_viewer.store.mosaic.statistics import load_statistics
 from wafer_viewer.store.records.calibration_records import (
@@ -122,7 +123,7 @@ def _images(folder: Path) -> list[OutsideReader]:
         else:
             Image.fromarray(grey).save(path)
         found += [
-            OutsideReader(f"image {suffix}", path, lambda file: [picture.read() for picture in pictures(file)]),
+            OutsideReader(f"image {suffix}", path, lambda file: [picture.read() for picture in planes_of(file)]),
             OutsideReader(f"preview {suffix}", path, preview),
         ]
     colour = folder / "colour.tiff"
@@ -131,8 +132,8 @@ def _images(folder: Path) -> list[OutsideReader]:
     Image.fromarray(grey).convert("P").save(palette)
     return [
         *found,
-        OutsideReader("colour tiff", colour, lambda file: [picture.read() for picture in pictures(file)]),
-        OutsideReader("palette png", palette, lambda file: [picture.read() for picture in pictures(file)]),
+        OutsideReader("colour tiff", colour, lambda file: [picture.read() for picture in planes_of(file)]),
+        OutsideReader("palette png", palette, lambda file: [picture.read() for picture in planes_of(file)]),
     ]
 
 

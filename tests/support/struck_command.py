@@ -52,17 +52,17 @@ PRELOADED = (
     "reconstruct.stitching",
     "rigs.virtual.rig",
     "session.acquisition.headless",
-    "session.planning.headless",
+    "session.planning.revision_trial",
     "session.reporting.record_check",
     "session.reporting.report",
     "session.surface.comparison_job",
-    "session.surface.field_export",
+    "session.surface.worker_tasks",
     "session.surface.headless",
     "session.surface.stitching_inputs",
     "store.dataset.stack_import",
-    "store.formats.exporters",
+    "store.formats.conversion",
     "store.mosaic.zarr_mosaic",
-    "store.records.audit_log",
+    "store.records.signed_log",
 )
 _WRITING = set("wax+")
 _Plain = Callable[..., Any]

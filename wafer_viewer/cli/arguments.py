@@ -15,6 +15,7 @@ from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 
 if TYPE_CHECKING:
+    from wafer_viewer.model.acquisition.image_source import ImageOptions
     from wafer_viewer.rigs.rig_config import RigConfig
 
 DATA_FOLDER = Path("~/wafer-viewer")
@@ -71,6 +72,13 @@ def require_sources(src: tuple[Path, ...]) -> None:
     """Raise DatasetError if no image is given."""
     if not src:
         raise DatasetError("There are no images: give a folder of images, a multi-page TIFF or image files.")
+
+
+def image_options(**given: Any) -> ImageOptions:
+    """Return the values and choices for images taken elsewhere, of the flags of a command."""
+    from wafer_viewer.model.acquisition.image_source import ImageOptions
+
+    return ImageOptions(**given)
 
 
 def levelling_from(words: tuple[str, ...]) -> Levelling:

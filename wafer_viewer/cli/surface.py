@@ -20,6 +20,7 @@ from wafer_viewer.cli.arguments import (
     Sources,
     Text,
     Um,
+    image_options,
     require_sources,
 )
 from wafer_viewer.cli.output import audit, print_json, print_surface, progress, warn
@@ -45,6 +46,12 @@ def reconstruct(
     workers: Count = None,
     na: Ratio = None,
     wavelength_um: Um = None,
+    channel: Text = None,
+    time: Text = None,
+    position: Text = None,
+    only: Text = None,
+    as_listed: bool = False,
+    overrule: bool = False,
 ) -> None:
     """Make a surface and write it to a file, whose ending picks the format; `convert --help` names them.
 
@@ -59,6 +66,12 @@ def reconstruct(
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as help by default.
         na: Numerical aperture of the objective, in air, where SRC does not say: bounds the width of focus curves.
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
+        channel: Name of the channel to take, or its number from 0, where the files have several.
+        time: The time to take, where the files have several.
+        position: The position to take, where the files have several.
+        only: Files to take, by a pattern of their names such as 'img_*.png'.
+        as_listed: Take all files in the order given, without a look for gaps, copies and files that are no frames.
+        overrule: Take the given values where the files state others.
     """
     from wafer_viewer.session.surface.headless import LocalOrCluster, surface_of
     from wafer_viewer.store.formats.conversion import require_format
@@ -66,19 +79,20 @@ def reconstruct(
     require_sources(src)
     require_format(out)
     hire = LocalOrCluster(scheduler, workers)
+    options = image_options(
+        z_step_um=z_step_um,
+        pixel_um=pixel_um,
+        numerical_aperture=na,
+        wavelength_um=wavelength_um,
+        channel=channel,
+        time=time,
+        position=position,
+        only=only,
+        as_listed=as_listed,
+        overrule=overrule,
+    )
     with progress("Reconstruction") as tell:
-        surface, info = surface_of(
-            src,
-            recipe,
-            z_step_um,
-            pixel_um,
-            result,
-            tell,
-            warn,
-            hire,
-            numerical_aperture=na,
-            wavelength_um=wavelength_um,
-        )
+        surface, info = surface_of(src, recipe, options, result, tell, warn, hire)
     _write(surface, out)
     print_surface(out, info)
 
@@ -138,7 +152,8 @@ def why(
 
     require_sources(src)
     with progress("Reading the frames") as tell:
-        found = evidence_of(src, at, field, result, recipe, z_step_um, pixel_um, tell)
+        options = image_options(z_step_um=z_step_um, pixel_um=pixel_um)
+        found = evidence_of(src, at, field, result, recipe, options, tell)
     print_json(msgspec.to_builtins(found))
 
 

@@ -24,7 +24,7 @@ from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.inspection_files import DefectFiles, compared, hand_over, keep_golden, lattice_for
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.ome_header import states_simulated
+from wafer_viewer.store.images.image_files import states_simulated
 from wafer_viewer.store.records.inspection_records import read_inspection, write_inspection
 from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
 

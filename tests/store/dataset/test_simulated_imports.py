@@ -127,7 +127,7 @@ def test_mark_of_a_simulation_survives_the_import(tmp_path, route, simulated):
 def test_one_simulated_image_marks_the_whole_stack(tmp_path):
     simulated = source("pictures", tmp_path, simulated=True)
     real = live_pictures(tmp_path / "real", simulated=False)
-    shutil.copy(sorted(simulated.iterdir())[0], real / "live-picture-99.ome.tif")
+    shutil.copy(sorted(simulated.iterdir())[0], real / "live-picture-12.ome.tif")
     assert open_stack(real, **STEP).simulated
     assert import_dataset(real, tmp_path / "b.wafer", **STEP).simulated
 

@@ -12,8 +12,8 @@ from wafer_viewer.model.acquisition.calibration import depth_of_field_um
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.store.dataset.image_files import REC_709, pictures
 from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
+from wafer_viewer.store.images.image_files import REC_709, planes_of
 
 STEP = {"z_step_um": 4.0, "pixel_um": 0.5}
 
@@ -65,7 +65,7 @@ def test_a_folder_is_read_in_the_order_people_count_in(folder):
 
 def test_a_list_of_files_and_a_multi_page_tiff_are_the_same_stack(folder, tmp_path):
     tifffile.imwrite(tmp_path / "all.tif", np.array([grey(k) for k in range(12)]), photometric="minisblack")
-    a = open_stack([str(p) for p in folder.iterdir()], **STEP)
+    a = open_stack([str(folder / f"im{k}.png") for k in range(12)], **STEP)
     b = open_stack(str(tmp_path / "all.tif"), **STEP)
     np.testing.assert_array_equal(a.images, b.images)
     assert a.checksum == b.checksum
@@ -82,14 +82,14 @@ def test_frames_taken_downward_are_turned_round(folder):
 def test_colour_becomes_luminance_and_keeps_its_depth(tmp_path, ending, dtype):
     color = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (12, 16, 3), dtype)
     write(tmp_path / f"a{ending}", color)
-    (picture,) = pictures(tmp_path / f"a{ending}")
+    (picture,) = planes_of(tmp_path / f"a{ending}")
     assert picture.read().dtype == dtype
     np.testing.assert_array_equal(picture.read(), np.rint(color @ REC_709).astype(dtype))
 
 
 def test_white_stays_white(tmp_path):
     write(tmp_path / "a.png", np.full((4, 4, 4), 255, np.uint8))
-    assert (pictures(tmp_path / "a.png")[0].read() == 255).all()
+    assert (planes_of(tmp_path / "a.png")[0].read() == 255).all()
 
 
 KINDS = [
@@ -107,17 +107,17 @@ def test_whatever_pillow_writes_is_read_as_pillow_reads_it(tmp_path, ending, mod
     image.save(path)
     with PillowImage.open(path) as written:
         expected = np.asarray(written.convert("L"), int)
-    assert np.abs(pictures(path)[0].read().astype(int) - expected).max() <= 2
+    assert np.abs(planes_of(path)[0].read().astype(int) - expected).max() <= 2
 
 
 def test_compressed_big_endian_and_planar_tiffs(tmp_path):
     image = grey(1, dtype=np.uint16)
     tifffile.imwrite(tmp_path / "a.tif", image, compression="lzw", byteorder=">")
-    np.testing.assert_array_equal(pictures(tmp_path / "a.tif")[0].read(), image)
+    np.testing.assert_array_equal(planes_of(tmp_path / "a.tif")[0].read(), image)
     color = np.stack([grey(k) for k in range(3)])
     tifffile.imwrite(tmp_path / "b.tif", color, photometric="rgb", planarconfig="separate")
     expected = np.rint(np.moveaxis(color, 0, -1) @ REC_709)
-    np.testing.assert_array_equal(pictures(tmp_path / "b.tif")[0].read(), expected)
+    np.testing.assert_array_equal(planes_of(tmp_path / "b.tif")[0].read(), expected)
 
 
 def test_a_stack_becomes_a_dataset(folder, tmp_path):
@@ -225,22 +225,32 @@ def spoil_png(folder):
     (folder / "im4.png").write_bytes((folder / "im4.png").read_bytes()[:-60])
 
 
+def as_ending(folder, ending):
+    """All images in another format, and one more, which is returned."""
+    for k in range(12):
+        (folder / f"im{k}.png").unlink()
+        write(folder / f"im{k}{ending}", grey(k))
+    return folder / f"im12{ending}"
+
+
 def spoil_jpeg(folder):
-    write(folder / "im20.jpg", grey(1))
-    (folder / "im20.jpg").write_bytes((folder / "im20.jpg").read_bytes()[:-90])
+    more = as_ending(folder, ".jpg")
+    write(more, grey(1))
+    more.write_bytes(more.read_bytes()[:-90])
 
 
 def spoil_tiff(folder):
-    write(folder / "im20.tif", grey(1))
-    os.truncate(folder / "im20.tif", (folder / "im20.tif").stat().st_size - 100)
+    more = as_ending(folder, ".tif")
+    write(more, grey(1))
+    os.truncate(more, more.stat().st_size - 100)
 
 
 def text_named_tif(folder):
-    (folder / "im20.tif").write_text("no image at all")
+    as_ending(folder, ".tif").write_text("no image at all")
 
 
 def float_tiff(folder):
-    tifffile.imwrite(folder / "im20.tif", np.zeros((12, 16), np.float32))
+    tifffile.imwrite(as_ending(folder, ".tif"), np.zeros((12, 16), np.float32))
 
 
 def only_two(folder):
@@ -258,10 +268,10 @@ BAD = [
     (spoil_size, r"Import stopped at im9.png: it is 16 x 11 px, 8 bit, the 9 before it are 16 x 12 px, 8 bit. Nothing"),
     (spoil_depth, r"Import stopped at im1.png: it is 16 x 12 px, 16 bit, the one before it is 16 x 12 px, 8 bit."),
     (spoil_png, r"Import stopped at im4.png: it is damaged, or not an image"),
-    (spoil_jpeg, r"Import stopped at im20.jpg: it is damaged, or not an image"),
-    (spoil_tiff, r"Import stopped at im20.tif: it is damaged, or not an image"),
-    (text_named_tif, r"Import stopped at im20.tif: it is damaged, or not an image \(not a TIFF file"),
-    (float_tiff, r"Import stopped at im20.tif: its values are float32"),
+    (spoil_jpeg, r"Import stopped at im12.jpg: it is damaged, or not an image"),
+    (spoil_tiff, r"Import stopped at im12.tif: it is damaged, or not an image"),
+    (text_named_tif, r"Import stopped at im12.tif: it is damaged, or not an image \(not a TIFF file"),
+    (float_tiff, r"Import stopped at im12.tif: its values are float32"),
     (only_two, r"has 2 frames and at least 3 are needed"),
     (none_at_all, r"the folder holds no images"),
 ]

@@ -19,7 +19,7 @@ from wafer_viewer.gui.presenters.surface import surface_name
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.roles import AuditEntry
@@ -169,8 +169,8 @@ def import_dialog(page: Page) -> None:
             return
         done = page.session.import_images(
             sources,
-            z_step_um=_wanted("z step", step.value, "the distance between two images of the stack"),
-            pixel_um=_wanted("pixel size", pixel.value, "the size of a pixel on the sample"),
+            z_step_um=step.value,
+            pixel_um=pixel.value,
             pattern=pattern.value.strip() or None,
             name=called,
             numerical_aperture=aperture.value,
@@ -250,9 +250,3 @@ def _description(ending: str, every: float, size: tuple[int, int, float] | None)
 def _ending_of(field: int | None) -> str:
     """Return the suffix of the file name: none for the dataset, one for a field or a comparison."""
     return "" if not field else f"-field{field}" if field > 0 else "-compared"
-
-
-def _wanted(name: str, value: float | None, what: str) -> float:
-    if value is None:
-        raise DatasetError(f"The {name} is missing: give {what} in µm.")
-    return value

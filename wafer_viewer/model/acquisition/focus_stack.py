@@ -60,7 +60,8 @@ class FieldStack:
     brackets: further exposures of the same slots, in any order: a reconstruction fuses them with `images`;
     exposure_z_um: z [k] of each exposure's own images, `images` first, where they differ from z_um; else empty;
     depth_of_field_um: of the objective; 0 if unknown;
-    shading: of the camera, None without a flat field; the images are as the camera gave them.
+    shading: of the camera, None without a flat field; the images are as the camera gave them;
+    notes: one sentence each on what was found in the files of a stack that was taken elsewhere.
 
     Raises DatasetError when the shapes disagree or fewer than three frames are present.
     """
@@ -79,6 +80,7 @@ class FieldStack:
     depth_of_field_um: float = 0.0
     exposure_z_um: tuple[NDArray[np.float64], ...] = ()
     shading: ImageShading | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.images.ndim != 3 or len(self.z_um) != len(self.images) or len(self.present) != len(self.images):

@@ -272,7 +272,7 @@ class Browsing:
         return self._looking.submit(self._look, path)
 
     def _look(self, path: Path) -> bytes:
-        from wafer_viewer.store.dataset.image_files import preview
+        from wafer_viewer.store.dataset.preview import preview
 
         if not self.allowed(path):
             return b""

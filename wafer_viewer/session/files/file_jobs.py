@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Job
@@ -166,30 +167,40 @@ class FileJobs:
         self,
         srcs: tuple[Path, ...],
         *,
-        z_step_um: float | None,
-        pixel_um: float | None,
+        z_step_um: float | None = None,
+        pixel_um: float | None = None,
         pattern: str | None = None,
         name: str | None = None,
         overlap_fraction: float = 0.1,
         numerical_aperture: float | None = None,
         wavelength_um: float | None = None,
+        channel: str | None = None,
+        time: str | None = None,
+        position: str | None = None,
+        only: str | None = None,
+        as_listed: bool = False,
+        overrule: bool = False,
     ) -> Future[Path]:
         """Import images from another instrument into a dataset, open and reconstruct it.
 
-        The future is done when it is open. numerical_aperture: of the objective, in air; None: unknown. wavelength_um:
-        None means 0.55 um.
+        The future is done when it is open. The values and choices are those of `import_dataset`.
         """
-        options = {
-            "z_step_um": z_step_um,
-            "pixel_um": pixel_um,
-            "pattern": pattern,
-            "overlap_fraction": overlap_fraction,
-            "numerical_aperture": numerical_aperture,
-            "wavelength_um": wavelength_um,
-        }
+        options = ImageOptions(
+            z_step_um=z_step_um,
+            pixel_um=pixel_um,
+            pattern=pattern,
+            numerical_aperture=numerical_aperture,
+            wavelength_um=wavelength_um,
+            channel=channel,
+            time=time,
+            position=position,
+            only=only,
+            as_listed=as_listed,
+            overrule=overrule,
+        )
         out = self._new_dataset(name, srcs[0].stem if srcs else "import")
         files = tuple(Path(src).absolute() for src in srcs)
-        made = self._background.run(f"Import of {out.stem}", import_images, files, out, options)
+        made = self._background.run(f"Import of {out.stem}", import_images, files, out, options, overlap_fraction)
         return self._command_queue.then(made.done, self._open)
 
     @command.audited("Surface imported")

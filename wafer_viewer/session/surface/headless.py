@@ -11,6 +11,7 @@ from pathlib import Path
 from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.dask_worker import attempt
 from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, n_local_workers, require_tls
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress
@@ -26,7 +27,7 @@ from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.dataset.stack_import import open_stack
+from wafer_viewer.store.dataset.stack_import import stack_of
 from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.poses_file import write_poses_csv
 
@@ -64,17 +65,13 @@ class LocalOrCluster:
 def surface_of(
     src: Sequence[Path],
     recipe: Recipe,
-    z_step_um: float | None,
-    pixel_um: float | None,
+    images: ImageOptions,
     result: str,
     tell: Progress,
     warn: Warn,
     hire: LocalOrCluster,
-    *,
-    numerical_aperture: float | None = None,
-    wavelength_um: float | None = None,
 ) -> tuple[Mosaic, SurfaceInfo]:
-    """Return the reconstructed surface of images or of a dataset, and its summary.
+    """Return the reconstructed surface of images or of a dataset, and its summary; warn of what the files tell.
 
     Raises DatasetError for unreadable images.
     """
@@ -84,14 +81,9 @@ def surface_of(
     from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
-    stack = open_stack(
-        files,
-        z_step_um,
-        pixel_um,
-        progress=lambda share: tell(READ_SHARE * share),
-        numerical_aperture=numerical_aperture,
-        wavelength_um=wavelength_um,
-    )
+    stack = stack_of(files, images, progress=lambda share: tell(READ_SHARE * share))
+    for note in stack.notes:
+        warn(note)
     _compile(HEIGHTS, warn)
     surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
     return surface, summarise(surface, 1, result, recipe)
@@ -172,8 +164,7 @@ def evidence_of(
     field_number: int,
     result: str,
     recipe: Recipe,
-    z_step_um: float | None,
-    pixel_um: float | None,
+    images: ImageOptions,
     tell: Progress,
 ) -> FocusCurve:
     """Return the focus curve of a pixel of images or of a dataset.
@@ -187,7 +178,7 @@ def evidence_of(
         raise DatasetError(f"{src[0].name} is a surface without its frames: give the dataset or images it was made of.")
     from wafer_viewer.reconstruct import focus_evidence
 
-    stack = open_stack(src[0] if len(src) == 1 else tuple(src), z_step_um, pixel_um, progress=tell)
+    stack = stack_of(src[0] if len(src) == 1 else tuple(src), images, progress=tell)
     return focus_evidence.focus_curve(stack, *at_um, recipe)
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -191,16 +192,17 @@ def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Itera
 def import_images(
     srcs: Sequence[Path],
     out: Path,
-    options: dict[str, Any],
+    options: ImageOptions,
+    overlap_fraction: float,
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Import images of another instrument into a dataset; `options` are those of `import_dataset`."""
-    from wafer_viewer.store.dataset.stack_import import import_dataset
+    """Import images of another instrument into a dataset."""
+    from wafer_viewer.store.dataset.stack_import import dataset_of
 
-    import_dataset(tuple(srcs), out, progress=progress, should_stop=should_stop, **options)
-    return out
+    paths = srcs[0] if len(srcs) == 1 else tuple(srcs)
+    return dataset_of(paths, out, options, overlap_fraction, progress, should_stop).path
 
 
 def export_surface(

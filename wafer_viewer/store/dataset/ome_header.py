@@ -30,7 +30,6 @@ _MAX_TEXT = 80
 _MAGNIFICATION = re.compile(r"(\d+(?:\.\d+)?)\s*[xX×]")
 _SIMULATED = "SIMULATED. "
 """Begin of the description of an image that was not taken of a real sample."""
-_STATED = re.compile(r'\bSIMULATED\. |"SIMULATED": ?true|K="simulated">yes<')
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 
 
@@ -111,14 +110,6 @@ def picture_xml(picture: StagePicture, software_version: str) -> bytes:
     plane = _add(pixels, "Plane", TheZ="0", TheT="0", TheC="0", ExposureTime=_number(picture.exposure_us / _US_PER_S))
     plane.attrib |= _lengths(PositionX=at.x_um, PositionY=at.y_um, PositionZ=at.z_um)
     return _document(root)
-
-
-def states_simulated(text: str) -> bool:
-    """Return whether a text beside an image, such as its description, is that of a simulated frame or picture.
-
-    It may be one of ours, finished or of a scan that was not, or one of ours that another program has quoted.
-    """
-    return _STATED.search(text) is not None
 
 
 def _root(software_version: str) -> ElementTree.Element:

@@ -1,130 +1,35 @@
 """Import of external stacks: opened for one reconstruction, or imported as a dataset.
 
-The only acquisition metadata are those given by the user, so the stacks have no calibration and their lengths are
-uncalibrated. A file that says that it is simulated makes its stack and its dataset simulated.
+What the files say of themselves is used: pixel size, z, places, exposures, the aperture of the objective, and whether
+they are simulated. What the user gives completes it. The stacks have no calibration, and their lengths are
+uncalibrated.
 """
 
 from __future__ import annotations
 
 import hashlib
-import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Frame, FrameStatus, Image
+from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
+from wafer_viewer.numerics.frame_sequence import contradicting_order, place_sharpness
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.dataset.image_files import (
-    NOTHING_WRITTEN,
-    READERS,
-    ImageFile,
-    Paths,
-    image_files,
-    pictures,
-    pictures_of,
-)
 from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths
+from wafer_viewer.store.images.stack_source import SourceField, StackSource, read_source
 from wafer_viewer.store.io.atomic_files import atomic_write, require_space
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
-
-Cell = tuple[int, int]
-"""(row, col) as numbered in the files."""
-Slot = tuple[ImageFile | None, ...]
-"""Images taken at one z: one per exposure, None where it is missing."""
-_PARTS = {"row", "col", "k", "e"}
-
-
-def stacks_by_cell(src: Paths, pattern: str | None) -> dict[Cell, list[Slot]]:
-    """Return the slots of each field in order of k, all with the same number of exposures in numerical order.
-
-    Without a pattern all images form one field with one exposure; a pattern without ``{k}`` uses the pages of each
-    file. A pattern with a slash is matched to the path relative to the given folder, otherwise to the file name.
-
-    Raises
-    ------
-    DatasetError
-        If a file does not match the pattern, or two files are the same frame.
-    """
-    if pattern is None:
-        return {(0, 0): [(picture,) for picture in pictures(src)]}
-    expression = compile_pattern(pattern)
-    stacks: dict[Cell, dict[tuple[int, int], ImageFile]] = {}
-    for path, name in _named_files(src, "/" in pattern):
-        cell, frames = _frames_of(path, name, expression, pattern)
-        stack = stacks.setdefault(cell, {})
-        if twice := stack.keys() & frames.keys():
-            why = f"frame {min(twice)[0]} of row {cell[0]}, column {cell[1]} is there twice"
-            raise DatasetError(_stopped(name, why, "Take one out."))
-        stack |= frames
-    ks, es = (sorted({key[i] for stack in stacks.values() for key in stack}) for i in (0, 1))
-    return {cell: [tuple(stacks[cell].get((k, e)) for e in es) for k in ks] for cell in sorted(stacks)}
-
-
-def compile_pattern(pattern: str) -> re.Pattern[str]:
-    """Return the pattern as a regular expression with a named group for each part.
-
-    The parts are row, col, k and e; a single field with several exposures needs neither row nor col.
-
-    Raises
-    ------
-    DatasetError
-        If the pattern does not identify the field of a file, or has unknown or repeated parts.
-    """
-    parts = re.split(r"\{(\w+)\}", pattern)
-    names = parts[1::2]
-    distinguishable = {"row", "col"} <= set(names) or ("e" in names and not {"row", "col"} & set(names))
-    if not distinguishable or not set(names) <= _PARTS or len(names) != len(set(names)):
-        raise DatasetError(
-            f"The pattern {pattern!r} does not say which field a file is: it needs {{row}} and {{col}}, "
-            "{k} where each frame is a file, and {e} where each z was taken in several exposures, once each, "
-            "as in 'r{row}_c{col}_k{k}.tif'."
-        )
-    pieces = [rf"(?P<{part}>\d+)" if i % 2 else re.escape(part) for i, part in enumerate(parts)]
-    return re.compile("".join(pieces), re.IGNORECASE)
-
-
-def _named_files(src: Paths, deep: bool) -> list[tuple[Path, str]]:
-    """Return the files, each with the name that is matched to the pattern."""
-    folders = [Path(one) for one in ([src] if isinstance(src, str | Path) else src)]
-    if not deep:
-        return [(path, path.name) for path in image_files(src)]
-    below = [(p, folder) for folder in folders for p in sorted(folder.rglob("*")) if p.suffix.lower() in READERS]
-    if not below:
-        mend = "Give the folder that the pattern starts from."
-        raise DatasetError(_stopped(str(folders[0]), "the folder holds no images", mend))
-    return [(path, path.relative_to(folder).as_posix()) for path, folder in below]
-
-
-def _frames_of(
-    path: Path, name: str, expression: re.Pattern[str], pattern: str
-) -> tuple[Cell, dict[tuple[int, int], ImageFile]]:
-    """Return the field of a file, and its images by (k, exposure)."""
-    match = expression.fullmatch(name)
-    if match is None:
-        why = f"its name does not fit the pattern {pattern!r}"
-        raise DatasetError(_stopped(name, why, "Take the file out or change the pattern."))
-    numbers, pages = {part: int(digits) for part, digits in match.groupdict().items()}, pictures_of(path)
-    cell, exposure = (numbers.get("row", 0), numbers.get("col", 0)), numbers.get("e", 0)
-    if "k" not in numbers:
-        return cell, {(k, exposure): picture for k, picture in enumerate(pages)}
-    if len(pages) > 1:
-        why = f"it has {len(pages)} pages and the pattern says one frame a file"
-        raise DatasetError(_stopped(name, why, "Leave out {k}."))
-    return cell, {(numbers["k"], exposure): pages[0]}
-
-
-def _stopped(name: str, why: str, mend: str) -> str:
-    return f"Import stopped at {name}: {why}. {NOTHING_WRITTEN} {mend}"
-
 
 UNKNOWN_EXPOSURE_US = 1.0
 """Placeholder exposure time in us for images without one.
@@ -134,8 +39,6 @@ brightness ratio and never uses an invented one.
 """
 MAX_OVERLAP = 0.5
 MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
-Stacks = dict[Cell, list[Slot]]
-P = TypeVar("P", ImageFile, Slot)
 
 
 def open_stack(
@@ -148,6 +51,12 @@ def open_stack(
     *,
     numerical_aperture: float | None = None,
     wavelength_um: float | None = None,
+    channel: str | None = None,
+    time: str | None = None,
+    position: str | None = None,
+    only: str | None = None,
+    as_listed: bool = False,
+    overrule: bool = False,
 ) -> FieldStack:
     """Read a folder of images, a multi-page TIFF or a list of files.
 
@@ -156,13 +65,14 @@ def open_stack(
     Parameters
     ----------
     src : str, Path or sequence of them
-        Folder of images, image file (with all pages of a multi-page TIFF), or several of them. Files are sorted in
-        natural order: 2 before 10.
-    z_step_um : float
-        Distance between frames in um, required. A negative value means that the images were taken downward; their
-        order is reversed.
-    pixel_um : float
-        Pixel size on the sample in um, required, over 0.
+        Folder of images, image file (with all pages of a multi-page TIFF), or several of them. The files of a folder
+        are sorted by the numbers of their names: 2 before 10, -5 before 2.5, 9999 before the 0001 of a counter that
+        began anew. A list keeps its order.
+    z_step_um : float, optional
+        Distance between frames in um, required where neither the files nor their names say it. A negative value means
+        that the images were taken downward; their order is reversed.
+    pixel_um : float, optional
+        Pixel size on the sample in um, over 0, required where the files do not say it.
     z_start_um : float, default 0.0
         Height of the lowest frame in um.
     progress : callable, optional
@@ -174,19 +84,30 @@ def open_stack(
         curves. Without it the pixel size sets the bound, and heights near walls cannot always be tested.
     wavelength_um : float, optional
         Wavelength of the light in um, from 0.2 to 2. Default: 0.55 um.
+    channel, time, position : str, optional
+        Name of the one to take, or its number from 0, where the files have several.
+    only : str, optional
+        Pattern of the file names to take, such as ``img_*.png``.
+    as_listed : bool, default False
+        Take all files in the order given, or in natural order from a folder, without a look for gaps, copies and files
+        that are no frames.
+    overrule : bool, default False
+        Take the given values where the files state others.
 
     Returns
     -------
     FieldStack
         Images [k, row, col], uint8 or uint16, with z in um, rising; the field has number 1 and its centre at (0, 0).
-        It has no calibration, so that its lengths are uncalibrated. It is simulated if any of the files says so.
+        It has no calibration, so that its lengths are uncalibrated. It is simulated if any of the files says so. The
+        slot of a missing number is empty. `notes` tell what was found in the files.
 
     Raises
     ------
     DatasetError
-        When the step or the pixel size is missing or invalid, the aperture or the wavelength is out of range, a path
-        does not exist or is no image, fewer than three images are found, an image is damaged, is neither 8 nor 16 bits,
-        or differs in size or depth from those before it, or the work is stopped.
+        When the step or the pixel size is unknown or invalid, or differs from what the files state; the aperture or the
+        wavelength is out of range; a path does not exist or is no image; the names leave the order open, or number two
+        things; there are several channels, times or positions and none is chosen; fewer than three images are found; an
+        image is damaged, or differs in size or depth from those before it; or the work is stopped.
 
     Notes
     -----
@@ -198,21 +119,86 @@ def open_stack(
     .. [1] Recommendation ITU-R BT.709, Parameter values for the HDTV standards for production and international
        programme exchange.
     """
-    step_um, pixel = _required(z_step_um, pixel_um)
-    images_in_z = _in_ascending_z(pictures(src), step_um)
-    _require_frames(len(images_in_z), "the source")
-    images = _read_all(images_in_z, progress, should_stop)
+    options = ImageOptions(
+        z_step_um=z_step_um,
+        pixel_um=pixel_um,
+        numerical_aperture=numerical_aperture,
+        wavelength_um=wavelength_um,
+        channel=channel,
+        time=time,
+        position=position,
+        only=only,
+        as_listed=as_listed,
+        overrule=overrule,
+    )
+    return stack_of(src, options, z_start_um, progress, should_stop)
+
+
+def stack_of(
+    src: Paths,
+    options: ImageOptions,
+    z_start_um: float = 0.0,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+) -> FieldStack:
+    """Read images as one field; see `open_stack`. options: values and choices of the user."""
+    source = read_source(src, options)
+    field = _only_field(source)
+    slots = [slot[0] for slot in field.slots]
+    _require_frames(sum(plane is not None for plane in slots), "the source")
+    images = _read_all(slots, progress, should_stop)
+    if not source.order_is_stated:
+        _require_supported((plane, image) for plane, image in zip(slots, images, strict=True) if plane is not None)
+    z_um = field.z_um or source.z_step_um.value * np.arange(len(slots), dtype=np.float64)
     return FieldStack(
         field=Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=z_start_um),
         images=images,
-        z_um=z_start_um + abs(step_um) * np.arange(len(images_in_z), dtype=np.float64),
-        present=np.ones(len(images_in_z), bool),
-        pixel_um=pixel,
+        z_um=z_start_um + np.asarray(z_um, np.float64),
+        present=np.array([plane is not None for plane in slots]),
+        pixel_um=source.pixel_um.value,
         checksum=hashlib.sha256(b"".join(b"%08x" % zlib.crc32(image.data) for image in images)).hexdigest(),
         source=_source_name(src),
-        simulated=any(picture.simulated for picture in images_in_z),
-        depth_of_field_um=_depth_um(numerical_aperture, wavelength_um, pixel),
+        simulated=source.simulated,
+        depth_of_field_um=_depth_um(source.numerical_aperture, options.wavelength_um, source.pixel_um.value),
+        notes=source.notes,
     )
+
+
+def _require_supported(frames: Iterable[tuple[ImagePlane, Image]]) -> None:
+    """Raise DatasetError when the images contradict the order that their names give them."""
+    seen = [(plane.name, place_sharpness(image)) for plane, image in frames]
+    if len({len(sharpness) for _, sharpness in seen}) > 1:  # of several sizes, which is refused elsewhere
+        return
+    found = contradicting_order(np.stack([sharpness for _, sharpness in seen]))
+    if found is None:
+        return
+    supported = [seen[k][0] for k in found.order]
+    ends = f"{', '.join(supported[:3])} ... {supported[-1]}"
+    raise DatasetError(
+        "The images contradict the order of their names: sharpness rises and falls several times at most places, and "
+        f"once in another order, {ends}. {NOTHING_WRITTEN} Give the files in that order, or say that the present one "
+        "is right with --as-listed."
+    )
+
+
+def _only_field(source: StackSource) -> SourceField:
+    """Return the field of a source. Raises DatasetError where a choice of position or exposure is missing."""
+    if len(source.fields) > 1:
+        names = ", ".join(field.name for field in source.fields[:8])
+        raise DatasetError(
+            f"The images have {len(source.fields)} positions: {names}. Choose one with --position, or import them all "
+            "as a dataset."
+        )
+    field = next(iter(source.fields))
+    if len(field.slots[0]) > 1:
+        raise DatasetError(
+            f"The images have {len(field.slots[0])} exposures of each frame: import them as a dataset, which fuses "
+            "them."
+        )
+    return field
+
+
+def _say_nothing(_: str) -> None: ...
 
 
 def import_dataset(
@@ -227,6 +213,12 @@ def import_dataset(
     *,
     numerical_aperture: float | None = None,
     wavelength_um: float | None = None,
+    channel: str | None = None,
+    time: str | None = None,
+    position: str | None = None,
+    only: str | None = None,
+    as_listed: bool = False,
+    overrule: bool = False,
 ) -> Dataset:
     """Copy images into a new dataset of one or more fields.
 
@@ -238,17 +230,18 @@ def import_dataset(
         Folder of images, image file (with all pages of a multi-page TIFF), or several of them.
     out : str or Path
         Folder of the new dataset; it must not exist.
-    z_step_um : float
-        Distance between frames in um, required. A negative value means that the images were taken downward; their
-        order is reversed.
-    pixel_um : float
-        Pixel size on the sample in um, required, over 0.
+    z_step_um : float, optional
+        Distance between frames in um, required where neither the files nor their names say it. A negative value means
+        that the images were taken downward; their order is reversed.
+    pixel_um : float, optional
+        Pixel size on the sample in um, over 0, required where the files do not say it.
     pattern : str, optional
         Pattern of the file names with the parts ``{row}``, ``{col}``, ``{k}`` (frame) and ``{e}`` (exposure), as in
         ``r{row}_c{col}_k{k}.tif``: the images form a grid of fields, row 0 at the top. Without ``{k}`` the frames are
         the pages of each file. ``{e}`` separates the exposures of a bracket; their times are not needed. A pattern
-        with a slash is matched to the path relative to the given folder, otherwise to the file name. Default: all
-        images form one field.
+        with a slash is matched to the path relative to the given folder, otherwise to the file name. ``{z}`` instead of
+        ``{k}`` is the z of a frame in um, ``{n}`` instead of row and column a running number of the fields, from left
+        to right. Default: all images form one field, or one for each position that the files state.
     overlap_fraction : float, default 0.1
         Overlap of neighbouring fields as a fraction of a field, in x and y, from 0 to 0.5.
     progress : callable, optional
@@ -259,6 +252,8 @@ def import_dataset(
         Numerical aperture of the objective in air, between 0 and 1; see `open_stack`.
     wavelength_um : float, optional
         Wavelength of the light in um, from 0.2 to 2. Default: 0.55 um.
+    channel, time, position, only, as_listed, overrule
+        See `open_stack`; all positions become fields where none is chosen.
 
     Returns
     -------
@@ -278,27 +273,73 @@ def import_dataset(
     The lowest frame of every field is at z = 0. A frame that other fields have and a field lacks is recorded as
     missing.
     """
-    target = Path(out)
-    step_um, pixel = _required(z_step_um, pixel_um)
-    depth_um = _depth_um(numerical_aperture, wavelength_um, pixel)
+    options = ImageOptions(
+        z_step_um=z_step_um,
+        pixel_um=pixel_um,
+        numerical_aperture=numerical_aperture,
+        wavelength_um=wavelength_um,
+        pattern=pattern,
+        channel=channel,
+        time=time,
+        position=position,
+        only=only,
+        as_listed=as_listed,
+        overrule=overrule,
+    )
+    return dataset_of(srcs, Path(out), options, overlap_fraction, progress, should_stop)
+
+
+def dataset_of(
+    srcs: Paths,
+    target: Path,
+    options: ImageOptions,
+    overlap_fraction: float = 0.1,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+    warn: Callable[[str], None] = _say_nothing,
+) -> Dataset:
+    """Copy images into a new dataset; see `import_dataset`.
+
+    options: values and choices of the user. warn: called with one sentence for each finding in the files.
+    """
+    wavelength_um = options.wavelength_um
+    _depth_um(_given(options.numerical_aperture), wavelength_um, 1.0)
     _require_overlap(overlap_fraction)
     _require_free(target)
-    stacks = {cell: _in_ascending_z(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
-    for cell, stack in stacks.items():
-        source = "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}"
-        _require_frames(sum(None not in slot for slot in stack), source)
-    first = next(p for stack in stacks.values() for slot in stack for p in slot if p is not None).read()
-    job = _job(stacks, first, abs(step_um), pixel, overlap_fraction)
-    plan = _plan(job, first, pixel, depth_um)
+    source = read_source(srcs, options)
+    for note in source.notes:
+        warn(note)
+    for field in source.fields:
+        name = field.name if len(source.fields) > 1 or options.pattern is not None else "the source"
+        _require_frames(sum(None not in slot for slot in field.slots), name)
+    if not source.order_is_stated:
+        _require_supported((plane, plane.read()) for plane in _first_exposure(source.fields[0]))
+    first = next(plane for field in source.fields for plane in _planes(field)).read()
+    job = _job(source, first, overlap_fraction)
+    pixel_um = source.pixel_um.value
+    plan = _plan(job, first, pixel_um, _depth_um(source.numerical_aperture, wavelength_um, pixel_um))
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
     with atomic_write(target) as temporary:
-        bits = 8 * first.dtype.itemsize
-        source, simulated = _source_name(srcs), _is_simulated(stacks)
-        with DatasetWriter.create(temporary, plan, job, simulated=simulated, imported_from=source, bits=bits) as writer:
-            _copy(stacks, writer, progress, should_stop)
+        bits, name = 8 * first.dtype.itemsize, _source_name(srcs)
+        with DatasetWriter.create(
+            temporary, plan, job, simulated=source.simulated, imported_from=name, bits=bits
+        ) as writer:
+            _copy(source.fields, writer, progress, should_stop)
     forget_marks(target)
     sign_scan(target)
     return Dataset.open(target)
+
+
+def _planes(field: SourceField) -> Iterator[ImagePlane]:
+    return (plane for slot in field.slots for plane in slot if plane is not None)
+
+
+def _first_exposure(field: SourceField) -> Iterator[ImagePlane]:
+    return (slot[0] for slot in field.slots if slot[0] is not None)
+
+
+def _given(value: float | None) -> Stated[float] | None:
+    return None if value is None else Stated(value, "given")
 
 
 @dataclass(slots=True)
@@ -308,7 +349,7 @@ class _UniformFormat:
     first: Image | None = None
     n_before: int = 0
 
-    def checked(self, picture: ImageFile) -> Image:
+    def checked(self, picture: ImagePlane) -> Image:
         image = picture.read()
         first = image if self.first is None else self.first
         if _kind(image) != _kind(first):
@@ -321,50 +362,47 @@ class _UniformFormat:
         return image
 
 
-def _read_all(pictures: list[ImageFile], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
+def _read_all(slots: Sequence[ImagePlane | None], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
+    """Read the images of the slots; those of empty ones are black."""
     uniform = _UniformFormat()
-    first = uniform.checked(pictures[0])
+    first = uniform.checked(next(plane for plane in slots if plane is not None))
     dtype: np.dtype[Any] = first.dtype
-    images = np.empty((len(pictures), *first.shape), dtype)
-    images[0] = first
-    for k, picture in enumerate(
-        with_progress(pictures[1:], len(pictures) - 1, "Reading the images", progress, should_stop), 1
-    ):
-        images[k] = uniform.checked(picture)
+    images = np.zeros((len(slots), *first.shape), dtype)
+    rest = [(k, plane) for k, plane in enumerate(slots) if plane is not None]
+    images[rest[0][0]] = first
+    for k, plane in with_progress(rest[1:], len(rest) - 1, "Reading the images", progress, should_stop):
+        images[k] = uniform.checked(plane)
     return images
 
 
-def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, should_stop: ShouldStop | None) -> None:
+def _copy(
+    fields: Iterable[SourceField], writer: DatasetWriter, progress: Progress | None, should_stop: ShouldStop | None
+) -> None:
     uniform = _UniformFormat()
-    slots = list(_slots(stacks, writer.record.plan))
-    for shot, field, picture in with_progress(slots, len(slots), "The import", progress, should_stop):
-        if picture is None:
+    slots = list(_slots(fields, writer.record.plan))
+    for shot, field, z_um, plane in with_progress(slots, len(slots), "The import", progress, should_stop):
+        if plane is None:
             writer.missed(shot, shot.k, "there was no such image")
         else:
-            writer.frame(_frame(shot, field, writer.record.plan.sweep, uniform.checked(picture)))
+            writer.frame(_frame(shot, field, z_um, plane, uniform.checked(plane)))
     writer.finish()
 
 
-def _is_simulated(stacks: Stacks) -> bool:
-    """Return whether any image was not taken of a real sample."""
-    images = (image for stack in stacks.values() for slot in stack for image in slot)
-    return any(image is not None and image.simulated for image in images)
+def _slots(sources: Iterable[SourceField], plan: ScanPlan) -> Iterator[tuple[Shot, Field, float, ImagePlane | None]]:
+    for field, source in zip(plan.fields, sources, strict=True):
+        for k, slot in enumerate(source.slots):
+            z_um = plan.sweep.z_um(field, k) if source.z_um is None else source.z_um[k]
+            for exposure, plane in enumerate(slot):
+                yield Shot(field.number, k, exposure), field, z_um, plane
 
 
-def _slots(stacks: Stacks, plan: ScanPlan) -> Iterator[tuple[Shot, Field, ImageFile | None]]:
-    for field, stack in zip(plan.fields, stacks.values(), strict=True):
-        for k, slot in enumerate(stack):
-            for exposure, picture in enumerate(slot):
-                yield Shot(field.number, k, exposure), field, picture
-
-
-def _frame(shot: Shot, field: Field, sweep: FocusSweep, image: Image) -> Frame:
+def _frame(shot: Shot, field: Field, z_um: float, plane: ImagePlane, image: Image) -> Frame:
     return Frame(
         shot=shot,
         pulse_count=shot.k,
         x_um=field.x_um,
         y_um=field.y_um,
-        z_um=sweep.z_um(field, shot.k),
+        z_um=z_um,
         exposure_us=UNKNOWN_EXPOSURE_US,
         device_time_us=0,
         status=FrameStatus.OK,
@@ -372,7 +410,8 @@ def _frame(shot: Shot, field: Field, sweep: FocusSweep, image: Image) -> Frame:
     )
 
 
-def _job(stacks: Stacks, first: Image, z_step_um: float, pixel_um: float, overlap_fraction: float) -> Job:
+def _job(source: StackSource, first: Image, overlap_fraction: float) -> Job:
+    pixel_um = source.pixel_um.value
     grid = FieldGrid(
         rows=1,
         cols=1,
@@ -381,20 +420,41 @@ def _job(stacks: Stacks, first: Image, z_step_um: float, pixel_um: float, overla
         overlap_x_fraction=overlap_fraction,
         overlap_y_fraction=overlap_fraction,
     )
-    one = next(iter(stacks.values()))
+    slots = source.fields[0].slots
     return Job(
-        fields=tuple(_fields(sorted(stacks), grid)),
-        sweep=FocusSweep(z_step_um=z_step_um, n_frames=len(one)),
-        exposures_us=(UNKNOWN_EXPOSURE_US,) * len(one[0]),
+        fields=tuple(_placed(source.fields, grid)),
+        sweep=FocusSweep(z_step_um=source.z_step_um.value, n_frames=len(slots)),
+        exposures_us=(UNKNOWN_EXPOSURE_US,) * len(slots[0]),
     )
 
 
-def _fields(cells: list[Cell], grid: FieldGrid) -> Iterator[Field]:
-    """Yield a field for each cell; rows and columns are counted from 0, independent of the file numbers."""
+def _placed(fields: Sequence[SourceField], grid: FieldGrid) -> Iterator[Field]:
+    """Yield the fields where the files say that they lie, else on a grid by their names, else at 0."""
+    cells = [field.cell or (0, n) for n, field in enumerate(fields)]
     top, left = min(row for row, _ in cells), min(col for _, col in cells)
-    for number, (row, col) in enumerate(cells, 1):
+    stated = len(fields) > 1 and all(field.x_um is not None and field.y_um is not None for field in fields)
+    if stated:
+        cells, top, left = _cells_of_places(fields, grid), 0, 0
+    for number, (field, (row, col)) in enumerate(zip(fields, cells, strict=True), 1):
         x_um, y_um = (col - left) * grid.pitch_x_um, -(row - top) * grid.pitch_y_um
-        yield Field(number=number, row=row - top, col=col - left, x_um=x_um, y_um=y_um, z_start_um=0.0)
+        if stated and field.x_um is not None and field.y_um is not None:
+            x_um, y_um = field.x_um, field.y_um
+        z_start_um = field.z_um[0] if field.z_um is not None else 0.0
+        yield Field(number=number, row=row - top, col=col - left, x_um=x_um, y_um=y_um, z_start_um=z_start_um)
+
+
+def _cells_of_places(fields: Sequence[SourceField], grid: FieldGrid) -> list[tuple[int, int]]:
+    """Return row and column of stated places: those closer than half a field are in the same row or column."""
+    rows = _ranks([-(field.y_um or 0.0) for field in fields], grid.field_height_um / 2)
+    cols = _ranks([field.x_um or 0.0 for field in fields], grid.field_width_um / 2)
+    return list(zip(rows, cols, strict=True))
+
+
+def _ranks(places_um: Sequence[float], apart_um: float) -> list[int]:
+    """Return the number of the cluster that each place is in, from the lowest."""
+    ordered = np.sort(np.asarray(places_um))
+    begins = ordered[np.concatenate(([True], np.diff(ordered) > apart_um))]
+    return [int(np.searchsorted(begins, place, "right")) - 1 for place in places_um]
 
 
 def _plan(job: Job, first: Image, pixel_um: float, depth_um: float) -> ScanPlan:
@@ -413,37 +473,21 @@ def _plan(job: Job, first: Image, pixel_um: float, depth_um: float) -> ScanPlan:
     )
 
 
-def _in_ascending_z(stack: list[P], z_step_um: float) -> list[P]:
-    return stack[::-1] if z_step_um < 0 else stack
-
-
-def _required(z_step_um: float | None, pixel_um: float | None) -> tuple[float, float]:
-    if z_step_um is None:
-        raise DatasetError("The z step is missing: give it with --z-step-um, the images do not say it.")
-    if pixel_um is None:
-        raise DatasetError("The pixel size is missing: give it with --pixel-um, the images do not say it.")
-    if z_step_um == 0 or not np.isfinite(z_step_um):
-        raise DatasetError(
-            f"The z step is {z_step_um:g} um: give the distance between frames, under 0 if taken downward."
-        )
-    if not 0 < pixel_um < np.inf:
-        raise DatasetError(f"The pixel size is {pixel_um:g} um: it must be over 0.")
-    return z_step_um, pixel_um
-
-
-def _depth_um(numerical_aperture: float | None, wavelength_um: float | None, pixel_um: float) -> float:
-    """Return the depth of field in um; 0 if no aperture is given."""
+def _depth_um(aperture: Stated[float] | None, wavelength_um: float | None, pixel_um: float) -> float:
+    """Return the depth of field in um; 0 if no aperture in air is known."""
     if wavelength_um is not None and not MIN_WAVELENGTH_UM <= wavelength_um <= MAX_WAVELENGTH_UM:
         raise DatasetError(
             f"The wavelength is {wavelength_um:g} um: it must lie from {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} um."
         )
-    if numerical_aperture is None:
+    if aperture is None:
         return 0.0
-    if not 0 < numerical_aperture < 1:
+    if not 0 < aperture.value < 1:
+        if aperture.source != "given":  # of immersion, or no aperture: nothing is derived from it
+            return 0.0
         raise DatasetError(
-            f"The numerical aperture is {numerical_aperture:g}: in air it lies between 0 and 1, as in 10x/0.28."
+            f"The numerical aperture is {aperture.value:g}: in air it lies between 0 and 1, as in 10x/0.28."
         )
-    return depth_of_field_um(numerical_aperture, pixel_um, wavelength_um or WAVELENGTH_UM)
+    return depth_of_field_um(aperture.value, pixel_um, wavelength_um or WAVELENGTH_UM)
 
 
 def _require_overlap(fraction: float) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.reader_support import (
@@ -66,6 +67,8 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
         facts, lateral_um = _facts(page), _lateral_um(file, options)
         no_data = page.tags.get(_NO_DATA)
         embedded, by_imagej = page.description, str((file.imagej_metadata or {}).get("Info", ""))
+    if n_pages >= MIN_FRAMES:
+        raise options.refuse(f"has {n_pages} pages, a stack of images and no heights: import or reconstruct it.")
     if n_pages > 1:
         options.notes.append(f"Its first page was read, of {n_pages}.")
     options.require_heights_up(str(facts.get("quantity", facts.get("kind", ""))))
@@ -94,11 +97,11 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
 
 
 def is_heights(path: Path) -> bool:
-    """Return whether a TIFF holds floats, hence heights and not the images of a focus stack."""
+    """Return whether a TIFF holds heights: floats, on fewer pages than a focus stack has."""
     damaged = DatasetError(f"{path} cannot be read.")
     with suppress(DatasetError), parser_errors_as(lambda _: damaged), opened_tiff(path) as file:
         dtype = file.pages.first.dtype
-        return dtype is not None and dtype.kind == "f"
+        return dtype is not None and dtype.kind == "f" and len(file.pages) < MIN_FRAMES
     return False
 
 

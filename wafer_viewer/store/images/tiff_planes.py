@@ -1,0 +1,470 @@
+"""Planes of TIFF files with what they say of themselves: OME, ImageJ, Micro-Manager, Zeiss LSM, MetaMorph STK, plain.
+
+The axes are those of tifffile's series; the lengths are read from the words of each program. A file without such words
+is a stack of its pages.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.image_source import ImagePlane, Stated, Statements
+from wafer_viewer.model.errors import DatasetError, parser_errors_as
+from wafer_viewer.store.images.image_files import (
+    NOTHING_WRITTEN,
+    as_grey,
+    damaged,
+    read_page,
+    states_simulated,
+)
+from wafer_viewer.store.io.guarded_reading import MEND, MOST_PAGES, limit, opened_tiff, require_pixels, tiff_page
+
+if TYPE_CHECKING:
+    from tifffile import TiffFile, TiffPageSeries
+
+_UNITS_UM = {
+    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "micrometer", "micrometre", "\\u00B5m", "\\u00b5m"), 1.0),
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-3),
+    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1e3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre"), 1e4),
+    **dict.fromkeys(("m", "meter", "metre"), 1e6),
+    **dict.fromkeys(("in", "inch", "inches"), 25400.0),
+    "pm": 1e-6,
+    "Å": 1e-4,
+}
+"""Units of length as image files write them, in um; others, such as pixels, are no lengths."""
+_TIMES_US = {"s": 1e6, "ms": 1e3, "µs": 1.0, "μs": 1.0, "us": 1.0, "ns": 1e-3, "min": 6e7}
+_MICRO_MANAGER = 51123
+"""TIFF tag of Micro-Manager with the words on each page, as JSON."""
+_POSITION_AXES, _Z_AXES = "RPMV", "ZQI"
+"""Letters of tifffile's axes for places of the stage, and for planes: Q and I are pages of which nothing is said."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Place of a plane on the axes of its file, as numbers from 0, and what is said of that plane alone."""
+
+    position: int = 0
+    channel: int = 0
+    time: int = 0
+    k: int = 0
+    words: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Series:
+    """One image of a file: names of its positions, channels and times where it has several, and common statements."""
+
+    says: Statements
+    position: str = ""
+    channels: Sequence[str] = ()
+    planes: Mapping[tuple[int, int, int], Mapping[str, float]] | None = None
+    """z_um, x_um, y_um and exposure_us by (k, channel, time), as far as stated."""
+    exposures: bool = False
+    """True if the channels are exposures of the same slots."""
+
+
+def planes_of_tiff(path: Path) -> tuple[ImagePlane, ...]:
+    """Return the planes of a TIFF file in its own order; a plane that the file announces and lacks is left out.
+
+    Raises DatasetError when the file is damaged, or has more pages than the limit.
+    """
+    with parser_errors_as(partial(damaged, path.name)), opened_tiff(path) as file:
+        _require_pages(path, file)
+        if not len(file.pages):
+            return ()
+        by_imagej = str((file.imagej_metadata or {}).get("Info", ""))
+        simulated = states_simulated(f"{file.pages.first.description}\n{by_imagej}")
+        planes = tuple(replace(plane, simulated=simulated) for plane in _planes(path, file))
+        is_float = file.pages.first.dtype is not None and file.pages.first.dtype.kind == "f"
+    return _scaled(planes) if is_float and len(planes) > 1 else planes
+
+
+class _FloatScale:
+    """Linear scale of floating-point planes to 16 bits, the same for all planes of a file; found when it is asked."""
+
+    def __init__(self, planes: Sequence[ImagePlane]) -> None:
+        self._planes = planes
+
+    @cached_property
+    def span(self) -> tuple[float, float]:
+        """Least and greatest value of all planes. Raises DatasetError when a plane holds no number."""
+        low, high = math.inf, -math.inf
+        for plane in self._planes:
+            values = _float_values(plane)
+            finite = values[np.isfinite(values)]
+            if not finite.size:
+                raise DatasetError(
+                    f"Import stopped at {plane.name}: it holds no number. {NOTHING_WRITTEN} Export it again."
+                )
+            low, high = min(low, float(finite.min())), max(high, float(finite.max()))
+        return low, high
+
+    def read(self, plane: ImagePlane) -> Image:
+        """Return a plane as 16 bits; what is no number is 0."""
+        low, high = self.span
+        share = (np.nan_to_num(_float_values(plane), nan=low) - low) / max(high - low, 1e-30)
+        return np.rint(share.clip(0, 1) * 65535).astype(np.uint16)
+
+
+def _scaled(planes: tuple[ImagePlane, ...]) -> tuple[ImagePlane, ...]:
+    """Return planes of floating-point values that are read as 16 bits."""
+    scale = _FloatScale(planes)
+    note = f"The floating-point values of {planes[0].path.name} were scaled to 16 bits, all planes alike."
+    says = replace(planes[0].says, notes=(*planes[0].says.notes, note))
+    return tuple(replace(plane, says=says, read=partial(scale.read, plane)) for plane in planes)
+
+
+def _float_values(plane: ImagePlane) -> NDArray[np.float64]:
+    with parser_errors_as(partial(damaged, plane.name)), opened_tiff(plane.path) as file:
+        page = tiff_page(file, plane.page, plane.name)
+        if page.samplesperpixel != 1:
+            raise DatasetError(
+                f"Import stopped at {plane.name}: it has {page.samplesperpixel} floating-point values a pixel. "
+                f"{NOTHING_WRITTEN} Save it as a grey image."
+            )
+        return np.asarray(page.asarray(), np.float64)
+
+
+def _require_pages(path: Path, file: TiffFile) -> None:
+    if len(file.pages) > limit(MOST_PAGES):
+        raise DatasetError(
+            f"Import stopped at {path.name}: it has {len(file.pages)} pages, more than {limit(MOST_PAGES)}. "
+            f"{NOTHING_WRITTEN} Split it, or {MEND}."
+        )
+
+
+def _planes(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
+    if _page_words(file, 0):
+        yield from _of_micro_manager(path, file)
+        return
+    series = _worded_series(file)
+    if series is None:
+        yield from _of_pages(path, file)
+        return
+    several = len(series) > 1
+    for number, (one, words) in enumerate(series):
+        position = words.position if several and words.position else f"position {number}" if several else ""
+        yield from _of_series(path, file, number, one, replace(words, position=position))
+
+
+def _worded_series(file: TiffFile) -> list[tuple[TiffPageSeries, _Series]] | None:
+    """Return the series of a file whose program says what their axes are, else None."""
+    if file.is_ome and (words := _ome_words(file)) is not None:
+        return list(zip(file.series, words, strict=False)) if len(words) == len(file.series) else None
+    if file.is_imagej:
+        return [(file.series[0], _Series(_imagej_statements(file)))]
+    if file.is_lsm:
+        return [(file.series[0], _Series(_lsm_statements(file)))]
+    if file.is_stk:
+        return [(file.series[0], _Series(_stk_statements(file)))]
+    if file.is_shaped and len(file.series) == 1 and set(file.series[0].axes) & {"Z", "C", "T"}:
+        return [(file.series[0], _Series(Statements()))]
+    return None
+
+
+def _of_pages(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
+    """Yield the pages of a file of which nothing is said, as planes along z."""
+    n_pages = len(file.pages)
+    for page in range(n_pages):
+        yield _plane(path, page, n_pages, _Place(k=page), _Series(Statements()))
+
+
+def _of_series(path: Path, file: TiffFile, number: int, series: TiffPageSeries, words: _Series) -> Iterator[ImagePlane]:
+    """Yield the planes of one series; of exposures the channel is no axis."""
+    axes = [axis for axis in series.axes if axis not in "YXS"]
+    sizes = [size for axis, size in zip(series.axes, series.shape, strict=True) if axis not in "YXS"]
+    n_planes = math.prod(sizes)
+    z_axes = [axis for axis in axes if axis in _Z_AXES]
+    stand_in = None if z_axes else _axis_taken_as_z(dict(zip(axes, sizes, strict=True)))
+    pages = list(series.pages)
+    contiguous = len(pages) != n_planes
+    if contiguous and series.dataoffset is None:
+        raise ValueError("its pages do not fit its axes")
+    for plane, at in enumerate(np.ndindex(*sizes)):
+        where = dict(zip(axes, at, strict=True))
+        k = next((where[axis] for axis in axes if axis in _Z_AXES), where.get(stand_in or "", 0))
+        place = _Place(
+            position=next((where[axis] for axis in axes if axis in _POSITION_AXES), 0),
+            channel=0 if stand_in == "C" else where.get("C", 0),
+            time=0 if stand_in == "T" else where.get("T", 0),
+            k=int(k),
+        )
+        several = frozenset(axis for axis, size in zip(axes, sizes, strict=True) if size > 1 and axis != stand_in)
+        if contiguous:
+            read = partial(_read_contiguous, path, number, plane, n_planes)
+            yield _plane(path, plane, n_planes, place, words, several, read)
+        elif (page := pages[plane]) is not None:
+            source = Path(page.parent.filehandle.path)
+            yield _plane(source, page.index, len(page.parent.pages), place, words, several)
+
+
+def _axis_taken_as_z(sizes: Mapping[str, int]) -> str | None:
+    """Return the axis that stands for z in a file without one: its times, or more channels than colours."""
+    if sizes.get("T", 1) >= _FEWEST:
+        return "T"
+    return "C" if sizes.get("C", 1) > _MOST_COLOURS else None
+
+
+_FEWEST, _MOST_COLOURS = 3, 4
+
+
+def _plane(
+    path: Path,
+    page: int,
+    n_pages: int,
+    place: _Place,
+    words: _Series,
+    several: frozenset[str] = frozenset(),
+    read: Callable[[], Image] | None = None,
+) -> ImagePlane:
+    name = path.name if n_pages == 1 else f"{path.name}, page {page + 1}"
+    own = (words.planes or {}).get((place.k, place.channel, place.time), {})
+    position = f"position {place.position}" if several & set(_POSITION_AXES) else words.position
+    named = words.channels[place.channel] if place.channel < len(words.channels) else f"channel {place.channel}"
+    return ImagePlane(
+        name=name,
+        path=path,
+        page=page,
+        read=read or partial(read_page, path, page, name),
+        position=position,
+        channel=named if "C" in several and not words.exposures else "",
+        time=f"time {place.time}" if "T" in several else "",
+        exposure=place.channel if words.exposures else 0,
+        k=place.k,
+        z_um=own.get("z_um"),
+        x_um=own.get("x_um"),
+        y_um=own.get("y_um"),
+        exposure_us=own.get("exposure_us"),
+        says=words.says,
+    )
+
+
+def _read_contiguous(path: Path, series: int, plane: int, n_planes: int) -> Image:
+    """Read a plane of a file that keeps all planes behind one page: MetaMorph STK and large files of ImageJ."""
+    name = f"{path.name}, plane {plane + 1}"
+    with parser_errors_as(partial(damaged, name)), opened_tiff(path) as file:
+        one = file.series[series]
+        rows, cols = one.keyframe.imagelength, one.keyframe.imagewidth
+        require_pixels(name, rows, cols)
+        size = rows * cols * one.keyframe.samplesperpixel
+        begin = (one.dataoffset or 0) + plane * size * one.dtype.itemsize
+        file.filehandle.seek(begin)
+        content = file.filehandle.read(size * one.dtype.itemsize)
+        values: NDArray[Any] = np.frombuffer(content, one.dtype.newbyteorder(file.byteorder), size)
+        return as_grey(values.reshape(one.keyframe.shape), name)
+
+
+def _length_um(value: object, unit: object) -> float | None:
+    """Return a stated length in um; None for what is no length, not finite or 0."""
+    try:
+        number, factor = float(str(value)), _UNITS_UM.get(str(unit).strip())
+    except ValueError:
+        return None
+    return number * factor if factor is not None and math.isfinite(number) and number != 0 else None
+
+
+def _stated(value: float | None, source: str) -> Stated[float] | None:
+    return None if value is None else Stated(value, source)
+
+
+# --- OME
+
+
+def _ome_words(file: TiffFile) -> list[_Series] | None:
+    """Return what the OME-XML says of each image; None if it is no OME-XML."""
+    text = file.ome_metadata or ""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        return None
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError:
+        return None
+    ours = root.get("Creator", "").startswith("Wafer Viewer")
+    objectives = {one.get("ID", ""): one for one in root.iterfind(".//{*}Objective")}
+    words: list[_Series] = []
+    for image in root.iterfind("{*}Image"):
+        pixels = image.find("{*}Pixels")
+        if pixels is None:
+            return None
+        settings = image.find("{*}ObjectiveSettings")
+        objective = objectives.get(settings.get("ID", "") if settings is not None else "")
+        if objective is None and len(objectives) == 1:
+            objective = next(iter(objectives.values()))
+        channels = [channel.get("Name") or f"channel {n}" for n, channel in enumerate(pixels.iterfind("{*}Channel"))]
+        words.append(
+            _Series(
+                _ome_statements(image, pixels, objective),
+                image.get("Name", ""),
+                channels,
+                dict(_ome_planes(image, pixels)),
+                exposures=ours,
+            )
+        )
+    return words or None
+
+
+def _ome_statements(
+    image: ElementTree.Element, pixels: ElementTree.Element, objective: ElementTree.Element | None
+) -> Statements:
+    def size(axis: str) -> Stated[float] | None:
+        unit = pixels.get(f"PhysicalSize{axis}Unit", "µm")
+        return _stated(_length_um(pixels.get(f"PhysicalSize{axis}"), unit), f"OME PhysicalSize{axis}")
+
+    aperture = None if objective is None else objective.get("LensNA")
+    model = "" if objective is None else objective.get("Model") or ""
+    taken = image.findtext("{*}AcquisitionDate") or ""
+    return Statements(
+        pixel_um=size("X"),
+        pixel_y_um=size("Y"),
+        z_step_um=size("Z"),
+        numerical_aperture=_stated(_number(aperture), "OME LensNA"),
+        objective=Stated(model, "OME Objective") if model else None,
+        taken=Stated(taken, "OME AcquisitionDate") if taken else None,
+    )
+
+
+def _ome_planes(
+    image: ElementTree.Element, pixels: ElementTree.Element
+) -> Iterator[tuple[tuple[int, int, int], dict[str, float]]]:
+    label = image.find("{*}StageLabel")
+    common = {} if label is None else _ome_place(label, "{}", "z_um")
+    for plane in pixels.iterfind("{*}Plane"):
+        own = common | _ome_place(plane, "Position{}")
+        unit = _TIMES_US.get(plane.get("ExposureTimeUnit", "s"))
+        exposure = _number(plane.get("ExposureTime"))
+        if unit is not None and exposure is not None:
+            own["exposure_us"] = exposure * unit
+        yield (int(plane.get("TheZ", 0)), int(plane.get("TheC", 0)), int(plane.get("TheT", 0))), own
+
+
+def _ome_place(element: ElementTree.Element, name: str, without: str = "") -> dict[str, float]:
+    """Return the place that the attributes of an element state; 0 is a place."""
+    found: dict[str, float] = {}
+    for axis in "XYZ":
+        attribute = name.format(axis)
+        factor = _UNITS_UM.get(element.get(f"{attribute}Unit", "µm"))
+        number = _number(element.get(attribute))
+        if factor is not None and number is not None and f"{axis.lower()}_um" != without:
+            found[f"{axis.lower()}_um"] = number * factor
+    return found
+
+
+def _number(text: object) -> float | None:
+    try:
+        number = float(str(text))
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+# --- ImageJ, LSM, STK
+
+
+def _imagej_statements(file: TiffFile) -> Statements:
+    words = file.imagej_metadata or {}
+    unit = words.get("unit", "")
+    tags = file.pages.first.tags
+    along_x, along_y = (_imagej_pixel_um(tags.get(name), unit) for name in ("XResolution", "YResolution"))
+    return Statements(
+        pixel_um=_stated(along_x, "ImageJ resolution"),
+        pixel_y_um=_stated(along_y, "ImageJ resolution"),
+        z_step_um=_stated(_length_um(words.get("spacing"), unit), "ImageJ spacing"),
+    )
+
+
+def _imagej_pixel_um(tag: Any, unit: str) -> float | None:
+    """Return a pixel of a resolution in pixels a unit."""
+    if tag is None:
+        return None
+    count, length = tag.value
+    return _length_um(length / count, unit) if count else None
+
+
+def _lsm_statements(file: TiffFile) -> Statements:
+    words = file.lsm_metadata or {}
+    x, y, z = (_length_um(words.get(f"VoxelSize{axis}"), "m") for axis in "XYZ")
+    return Statements(
+        pixel_um=_stated(x, "LSM VoxelSizeX"),
+        pixel_y_um=_stated(y, "LSM VoxelSizeY"),
+        z_step_um=_stated(z, "LSM VoxelSizeZ"),
+    )
+
+
+def _stk_statements(file: TiffFile) -> Statements:
+    words = file.stk_metadata or {}
+    unit = str(words.get("CalibrationUnits", ""))
+    x, y = (_length_um(words.get(f"{axis}Calibration"), unit) for axis in "XY")
+    steps = np.ravel(np.asarray(words.get("ZDistance", ()), np.float64))
+    step = float(steps[0]) if len(steps) and np.ptp(steps) == 0 and steps[0] != 0 else None
+    return Statements(
+        pixel_um=_stated(x, "STK XCalibration"),
+        pixel_y_um=_stated(y, "STK YCalibration"),
+        z_step_um=_stated(step, "STK ZDistance"),
+    )
+
+
+# --- Micro-Manager
+
+
+def _page_words(file: TiffFile, page: int) -> dict[str, Any]:
+    tag = file.pages[page].aspage().tags.get(_MICRO_MANAGER)
+    if tag is None:
+        return {}
+    words = json.loads(tag.value) if isinstance(tag.value, str | bytes) else tag.value
+    return words if isinstance(words, dict) else {}
+
+
+def _of_micro_manager(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
+    summary = (file.micromanager_metadata or {}).get("Summary", {}) if file.is_micromanager else {}
+    words = [_page_words(file, page) for page in range(len(file.pages))]
+    axes = ("Position", "Channel", "Frame", "Slice")
+    places = [tuple(_index(own, axis) for axis in axes) for own in words]
+    names = [str(_first(own, "PositionName", default="")) for own in words]
+    n_positions, n_channels, n_times, n_slices = (len({at[n] for at in places}) for n in range(4))
+    step = _number(_first(summary, "z-step_um", default=None)) if n_slices > 1 else None
+    for page, (own, at) in enumerate(zip(words, places, strict=True)):
+        pixel = _number(_first(own, "PixelSizeUm", "PixelSize_um", default=summary.get("PixelSize_um")))
+        says = Statements(
+            pixel_um=_stated(pixel or None, "Micro-Manager PixelSizeUm"),
+            z_step_um=_stated(step or None, "Micro-Manager z-step_um"),
+        )
+        exposure_ms = _number(_first(own, "Exposure-ms", default=None))
+        name = path.name if len(words) == 1 else f"{path.name}, page {page + 1}"
+        yield ImagePlane(
+            name=name,
+            path=path,
+            page=page,
+            read=partial(read_page, path, page, name),
+            position=names[page] or (f"position {at[0]}" if n_positions > 1 else ""),
+            channel=str(_first(own, "Channel", default=f"channel {at[1]}")) if n_channels > 1 else "",
+            time=f"time {at[2]}" if n_times > 1 else "",
+            k=at[3],
+            z_um=_number(_first(own, "ZPositionUm", default=None)),
+            x_um=_number(_first(own, "XPositionUm", default=None)),
+            y_um=_number(_first(own, "YPositionUm", default=None)),
+            exposure_us=None if exposure_ms is None else 1e3 * exposure_ms,
+            says=says,
+        )
+
+
+def _index(words: Mapping[str, Any], axis: str) -> int:
+    """Return the number of a page on an axis: PositionIndex, or Slice as older versions write it."""
+    number = _first(words, f"{axis}Index", axis, default=0)
+    return number if isinstance(number, int) else 0
+
+
+def _first(words: Mapping[str, Any], *names: str, default: Any) -> Any:
+    """Return the first of several spellings that is there."""
+    return next((words[name] for name in names if words.get(name) is not None), default)
