@@ -36,11 +36,13 @@ EXPLAINED_ROOMS = {"numerics", "measure", "acquire", "calibrate", "reconstruct"}
 EXPLAINED = [module for module in MODULES if module.relative_to(ROOT).parts[1] in EXPLAINED_ROOMS]
 
 
+@pytest.mark.slow
 def test_a_docstring_begins_with_a_verb_or_a_noun():
     texts = ((name(module), text.split()[0]) for module in MODULES for text in parsed(module).docstrings)
     assert not [(module, first) for module, first in texts if first.rstrip(",.:") in QUESTIONS]
 
 
+@pytest.mark.slow
 def test_a_number_says_what_it_means():
     assert not [
         f"{name(module)}:{node.lineno}"
@@ -50,6 +52,7 @@ def test_a_number_says_what_it_means():
     ]
 
 
+@pytest.mark.slow
 def test_parameters_of_an_algorithm_say_what_they_mean():
     structs = [
         node
@@ -127,6 +130,7 @@ CIRCLES = {("wafer_viewer.rigs.virtual.prerendering", "wafer_viewer.rigs.virtual
 """Imports that close a circle and are still to be untied."""
 
 
+@pytest.mark.slow
 def test_imports_make_no_circle_lazy_ones_and_those_for_types_included():
     names = {".".join(module.relative_to(ROOT).with_suffix("").parts) for module in MODULES}
     graph = {name: imported(ROOT / f"{name.replace('.', '/')}.py") & names for name in names}

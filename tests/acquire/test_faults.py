@@ -70,6 +70,7 @@ PAIRING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot"])
 @pytest.mark.parametrize("case", PAIRING)
 def test_no_frame_stands_in_a_wrong_slot(case, strategy, scan):

@@ -65,6 +65,7 @@ def test_without_dies_the_fitted_form_is_the_reference(folder, capsys, make, say
     assert found["notes"][0].endswith("compared with the fitted form.")
 
 
+@pytest.mark.slow
 def test_a_surface_without_heights_is_refused_in_one_sentence(folder, capsys):
     says = "hardly any measured pixels|shows no contrast"
     surface, path = unmeasured(made()), folder / "bad.npz"
@@ -78,6 +79,7 @@ def test_a_surface_without_heights_is_refused_in_one_sentence(folder, capsys):
     assert str(printed.value) in reported.err
 
 
+@pytest.mark.slow
 def test_given_dies_on_a_surface_without_heights_are_refused(folder, capsys):
     write_npz(unmeasured(made()), folder / "blank.npz")
     assert main(["measure", "defects", str(folder / "blank.npz"), *GIVEN]) == 2
@@ -105,12 +107,14 @@ def test_with_a_field_missing_no_list_is_clean(folder, capsys, against):
     assert any("clean" in why for why in reported["verdict"]["why"])
 
 
+@pytest.mark.slow
 def test_what_no_field_covers_counts_as_not_scanned_and_not_measured():
     found = inspect(made(Wafer(unmeasured_fraction=0), gap=GAP))
     assert found.not_scanned_mm2 == pytest.approx(GAP.area_um2 / 1e6, rel=0.02)
     assert found.unmeasured_mm2 == pytest.approx(GAP.area_um2 / 1e6, rel=0.02)
 
 
+@pytest.mark.slow
 def test_dies_of_which_half_is_refused_are_never_clean(folder, capsys):
     surface = made(Wafer(unmeasured_fraction=0))
     _, _, u, _ = Wafer().grid.to_die(*np.meshgrid(surface.x_um, surface.y_um))

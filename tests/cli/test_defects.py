@@ -196,6 +196,7 @@ def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("header", "says"),
     [

@@ -52,6 +52,7 @@ def refused(capsys: pytest.CaptureFixture[str]):
     return run
 
 
+@pytest.mark.slow
 def test_a_check_says_error_en_and_verdict_with_its_status(scans, reported):
     status, printed = reported("measure", "gauge", *scans, *CHECK, "--limit-um", "1", "--temperature-c", "21")
     assert (status, printed["verdict"], printed["simulated"]) == (0, "pass", True)
@@ -76,6 +77,7 @@ def test_surface_files_are_repeats_too(tmp_path, reported):
     assert (status, len(printed["repeats"])) == (0, 2)
 
 
+@pytest.mark.slow
 def test_a_signed_check_is_in_log_and_results_and_makes_history(scans, tmp_path, reported, refused):
     folder, terms = str(tmp_path), ("--limit-um", "1", "--tolerance-um", "10")
     for name, of in (("Ann", scans[:1]), ("Bob", scans[1:])):
@@ -93,6 +95,7 @@ def test_a_signed_check_is_in_log_and_results_and_makes_history(scans, tmp_path,
     assert (printed["rig"], printed["capability"]["n"], printed["capability"]["capable"]) == (RIG, 3, None)
 
 
+@pytest.mark.slow
 def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, reported, refused):
     folder = str(tmp_path)
     assert "no signed check" in refused("calibrate", "z", folder)

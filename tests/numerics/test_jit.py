@@ -62,6 +62,7 @@ def test_change_of_an_imported_source_changes_the_fingerprint(monkeypatch):
     assert kernel_state() != state
 
 
+@pytest.mark.slow
 def test_every_kernel_lies_in_a_room_that_the_fingerprint_covers():
     users = [f for f in PACKAGE.rglob("*.py") if "kernel\n" in f.read_text() and "numerics.jit import" in f.read_text()]
     assert len(users) > 10
@@ -122,6 +123,7 @@ print(banded_matrix.__file__, sum(banded_matrix._factorise.stats.cache_hits.valu
 """
 
 
+@pytest.mark.slow
 def test_another_copy_of_the_sources_finds_the_same_kernels(tmp_path):
     def hits(sources):
         environment = os.environ | {"PYTHONPATH": str(sources), "WAFER_VIEWER_CACHE": str(tmp_path / "cache")}

@@ -38,6 +38,7 @@ def width_um(stack: FieldStack) -> float:
     return float(tune_recipe(prepare(stack), Recipe()).recipe.focus_width_um)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", drawn_after(2, SEEDS))
 def test_the_width_stays_within_what_optics_allow(seed: int):
     one = scene(seed)
@@ -80,6 +81,7 @@ def test_the_aperture_given_with_images_bounds_the_width(tmp_path):
     assert width_um(stack) == pytest.approx(width_um(valid(one)))
 
 
+@pytest.mark.slow
 def test_a_width_that_hides_walls_is_reported():
     one = scene(SEEDS[0])
     stack = valid(one)
@@ -90,6 +92,7 @@ def test_a_width_that_hides_walls_is_reported():
     assert not any("tested" in note for note in reconstruct(stack, threads=1).provenance.notes)
 
 
+@pytest.mark.slow
 def test_a_sweep_too_short_for_walls_is_reported():
     one = scene(SEEDS[0])
     wide = replace(Recipe(), focus_width_um=float(np.ptp(one.stack.z_um)) / 1.5)

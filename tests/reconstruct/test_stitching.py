@@ -50,6 +50,7 @@ def test_fields_lie_where_they_truly_are_and_neighbours_meet(made):
     assert overlap < 0.9 * nominal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "sentence"),
     [
@@ -70,6 +71,7 @@ def test_a_field_that_fits_nowhere_is_named_and_left_out(odd, what, sentence):
     assert (middle.origin == wv.Origin.NOT_COVERED).all()
 
 
+@pytest.mark.slow
 def test_a_field_without_heights_is_named(odd):
     made = odd(empty=(5,))
     mosaic = wv.stitch(made.heights, made.fields)

@@ -137,6 +137,7 @@ def append_without_locks(path, first):
         append_record(path, Entry(n=n))
 
 
+@pytest.mark.slow
 def test_programs_without_locks_wait_for_each_other(tmp_path):
     path = tmp_path / "log.jsonl"
     append_record(path, Entry(n=0))

@@ -77,6 +77,7 @@ def test_a_point_out_of_focus_spreads_as_the_aperture_says(off_um: float, na: fl
         assert spread_px(spot) == pytest.approx((expected, expected), rel=0.06)
 
 
+@pytest.mark.slow
 def test_a_surface_is_sharpest_in_the_frame_at_its_height():
     scene = plane(5, SMALL, tilt=0.0)
     z_um = LEVEL_UM + 2.0 * np.arange(-6, 7)
@@ -96,6 +97,7 @@ def test_focus_does_not_depend_on_where_the_sweep_lies():
 SWEEPS = ([-100.0, 0.0, 20.0], [-4.0, 0.0, 60.0])
 
 
+@pytest.mark.slow
 def test_light_of_a_bright_trench_reaches_a_dark_die_only_out_of_focus():
     scene = two_halves(60.3, left=0.6, right=0.1)
     low = float(scene.truth_um[0, 0])
@@ -105,6 +107,7 @@ def test_light_of_a_bright_trench_reaches_a_dark_die_only_out_of_focus():
     assert out_of_focus[:, -1].mean() > 0.15
 
 
+@pytest.mark.slow
 def test_a_wall_hides_a_part_of_the_aperture():
     scene = two_halves(60.3, left=0.6, right=0.0)
     low = float(scene.truth_um[0, 0])
@@ -164,6 +167,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
     assert (dies(4, SMALL).truth_um != dies(3, SMALL).truth_um).any()
 
 
+@pytest.mark.slow
 def test_frames_do_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch):
     scene, optics, z_um = dies(3, SMALL), Optics(views=10), np.array([100.0, 140.0, 180.0])
     full = light_of(scene, optics, z_um)
@@ -190,6 +194,7 @@ def test_the_share_that_is_clipped_is_the_one_requested():
     assert (stack.images[1] == 255).mean() == pytest.approx(0.11, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_has_a_truth_on_the_lattice_of_its_frames(name: str):
     scene = SCENES[name](2, SMALL)
@@ -238,6 +243,7 @@ def test_the_sharp_picture_is_the_best_frame_without_its_noise(tmp_path):
     assert errors[3] < 0.6
 
 
+@pytest.mark.slow
 def test_kept_light_gives_the_stack_that_new_light_gives(tmp_path):
     small = replace(A, optics=Optics(views=6))
     z_um = np.array([100.0, 140.0, 180.0])

@@ -48,6 +48,7 @@ def test_the_picture_shows_both_curves_in_their_colours_and_says_that_it_is_simu
     assert red > 500 > 10 > real
 
 
+@pytest.mark.slow
 def test_the_words_of_a_drawing_are_text_with_units_and_sources():
     told = texts(profile_figure([with_a_gap(), section_of(hill() - 2, cleaned=True)], "svg"))
     assert {"z, µm", "Distance along the profile, µm", "1\u202f000", "SIMULATED"} <= set(told)
@@ -67,6 +68,7 @@ def test_a_gap_stays_open_and_a_single_point_in_it_is_a_dot():
     assert len(re.findall(r"<use [^>]*e8590c", drawn)) == 1
 
 
+@pytest.mark.slow
 def test_a_page_of_vectors_is_seventeen_by_nine_centimetres():
     pdf = profile_figure([with_a_gap()], "pdf")
     box = re.search(rb"/MediaBox \[\s*0 0 ([\d.]+) ([\d.]+)\s*\]", pdf)
@@ -74,6 +76,7 @@ def test_a_page_of_vectors_is_seventeen_by_nine_centimetres():
     assert b"/TrueType" in pdf or b"/CIDFontType2" in pdf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["png", "pdf", "svg"])
 def test_the_same_sections_are_the_same_file_whatever_the_users_settings_are(kind):
     before = profile_figure([with_a_gap()], kind)

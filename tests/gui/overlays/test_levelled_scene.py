@@ -76,6 +76,7 @@ def on_show(scene: SceneView, view: View) -> DisplayedSurface:
     return heard[-1]
 
 
+@pytest.mark.slow
 def test_heights_are_drawn_over_the_zero_that_was_chosen(scene: SceneView) -> None:
     by_stage = on_show(scene, View(step="surface"))
     levelled = on_show(scene, View(step="surface", levelling=BY_PLANE))
@@ -115,6 +116,7 @@ def test_the_camera_flies_to_a_rectangle_and_tells_what_it_sees(browser: Browser
     assert np.allclose(browser.camera.position, pose.position)
 
 
+@pytest.mark.slow
 def test_the_wheel_nears_what_is_in_the_middle_and_does_not_go_through_it(browser: Browser, scene: SceneView) -> None:
     shown = on_show(scene, View(step="surface"))
     top_mm = shown.scene_z(5.0 + 12.0)  # of the square in the middle

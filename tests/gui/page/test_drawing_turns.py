@@ -104,6 +104,7 @@ def test_an_error_ends_the_turn() -> None:
     assert drawn == [1]
 
 
+@pytest.mark.slow
 def test_while_states_come_fast_one_browser_that_looks_on_is_drawn_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     lock, drawing, most = threading.Lock(), set[int](), 0
     n_of_holder, hurried = 0, dict[int, bool]()

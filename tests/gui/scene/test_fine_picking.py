@@ -35,6 +35,7 @@ def surface():
     return height_map(z, PIXEL_UM, 0.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("datum", [None, TILTED])
 def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
     shelf = MemoryShelf({0: surface})
@@ -55,6 +56,7 @@ def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
         assert near.reached(origin, top - origin) == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_surface_that_cannot_be_read_is_hit_where_the_coarse_heights_are(surface):
     shelf = MemoryShelf({0: surface})
     relief = msgspec.msgpack.decode(paint(shelf, RenderRequest(SOURCE, "relief")), type=CoarseHeightField)

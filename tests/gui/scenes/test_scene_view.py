@@ -114,6 +114,7 @@ def settled(scene: SceneView) -> None:
 # ---------------------------------------------------------------- what is drawn
 
 
+@pytest.mark.slow
 def test_a_surface_stands_as_tiles_on_a_plinth_with_figures(browser: Browser, scene: SceneView) -> None:
     scene.draw(SNAPSHOT, View(step="surface", exaggeration=5.0))
     settled(scene)
@@ -162,6 +163,7 @@ def test_other_colours_replace_the_tiles_and_none_leaves_before_its_successor(
     assert len(after) == len(before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("look", "kind"), [("points", "point_cloud"), ("plan", "glb")])
 def test_points_and_plan_have_no_walls(browser: Browser, scene: SceneView, look: str, kind: str) -> None:
     scene.draw(SNAPSHOT, View(step="surface", look=look))  # pyright: ignore[reportArgumentType]
@@ -201,6 +203,7 @@ def test_the_plan_shows_its_fields_and_goes_when_it_is_given_up(browser: Browser
     assert browser.scene.names("/stage/")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_told_once_and_the_rest_stands(browser: Browser, session: StandIn) -> None:
     messages: list[Exception] = []
     session.shelf.stacks = lambda source: (_ for _ in ()).throw(DatasetError("The frames are gone."))  # type: ignore
@@ -498,6 +501,7 @@ def test_origins_are_drawn_in_little_light_for_their_colours_are_looked_up():
     assert shades == pytest.approx([0.8, 0.2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plinth", [True, False])
 def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
     stage = RecordingScene()

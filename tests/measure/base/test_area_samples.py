@@ -71,6 +71,7 @@ def test_noise_alone_has_no_volume_and_no_area():
     assert found.noise_um == pytest.approx(1.5, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("height_um", "noise_um"), [(8.0, 0.3), (0.6, 0.2)])
 @pytest.mark.parametrize("correlation_px", [0.0, 8.0])
 def test_the_uncertainty_covers_the_error_of_a_volume(height_um, noise_um, correlation_px):

@@ -23,6 +23,7 @@ def around(defect: Defect, spare_um: float) -> Region:
     return Region.rectangle(u_um - half_um, v_um - half_um, u_um + half_um, v_um + half_um)
 
 
+@pytest.mark.slow
 def test_what_lies_in_an_excluded_area_is_not_found_the_rest_is_and_the_area_is_reported() -> None:
     before = inspected(made())
     area = around(at(before, BUMP), 6 * PIXEL_UM)
@@ -35,6 +36,7 @@ def test_what_lies_in_an_excluded_area_is_not_found_the_rest_is_and_the_area_is_
     assert note.startswith("Left out of every die, as the recipe asks: 1 area, ")
 
 
+@pytest.mark.slow
 def test_heights_next_to_an_excluded_area_are_as_sure_as_elsewhere() -> None:
     before = at(inspected(made()), BUMP)
     _, y0, x1, y1 = around(before, 2 * PIXEL_UM).bounds_um

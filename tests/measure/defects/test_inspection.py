@@ -84,6 +84,7 @@ def test_a_scratch_over_two_dies_is_one_defect_as_long_as_it_is(found: Inspectio
     assert scratch.minor.value_um < 8 * PIXEL_UM
 
 
+@pytest.mark.slow
 def test_a_clean_wafer_has_no_defects_and_says_how_much_was_looked_at() -> None:
     inspection = inspected(made(5, ()))
     assert inspection.found == ()
@@ -91,6 +92,7 @@ def test_a_clean_wafer_has_no_defects_and_says_how_much_was_looked_at() -> None:
     assert inspection.expected_false_per_mm2 is not None
 
 
+@pytest.mark.slow
 def test_an_area_without_heights_is_counted_and_is_no_row_of_the_list() -> None:
     clean = made(5, ())
     z = clean.surface.z_um.copy()
@@ -125,12 +127,14 @@ def test_a_stain_on_a_plain_surface_shows_in_its_picture() -> None:
     assert "compared with what is around" in inspection.notes[1]
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_pattern_without_dies_is_left_out_and_that_is_reported() -> None:
     inspection = inspect(made(1, ()).surface, recipe=DULL)
     assert inspection.recipe.evidence == "height"
     assert "shows a pattern, or nothing, and was not looked at" in inspection.notes[1]
 
 
+@pytest.mark.slow
 def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     golden = golden_of_surface(made(1, ()).surface, made(1, ()).grid)
     everywhere = tuple(
@@ -143,6 +147,7 @@ def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     assert sum(d.repeats for d in inspection.found) == 9
 
 
+@pytest.mark.slow
 def test_what_was_compared_with_a_simulated_golden_die_is_simulated() -> None:
     clean, real = made(1, ()), made(2)
     assert not inspect(real.surface, real.grid, DULL, golden_of_surface(clean.surface, clean.grid)).simulated
@@ -153,6 +158,7 @@ def test_what_was_compared_with_a_simulated_golden_die_is_simulated() -> None:
     assert all(defect.simulated for defect in inspection.defects)
 
 
+@pytest.mark.slow
 def test_a_defect_in_a_street_shows_next_to_a_stored_golden_die() -> None:
     clean = made(1, ())
     golden = golden_of_surface(clean.surface, clean.grid)
@@ -165,6 +171,7 @@ def test_a_defect_in_a_street_shows_next_to_a_stored_golden_die() -> None:
     assert {die.word for die in inspection.dies if not die.defects} == {"clean"}
 
 
+@pytest.mark.slow
 def test_a_clean_die_says_that_its_street_was_not_looked_at() -> None:
     golden = golden_of_surface(made(1, ()).surface, made(1, ()).grid)
     few = made(2, ())
@@ -181,6 +188,7 @@ def test_the_dial_trades_misses_for_false_counts(found: Inspection) -> None:
     assert keen > 10 * dull
 
 
+@pytest.mark.slow
 def test_progress_is_reported_and_the_work_can_be_stopped() -> None:
     clean = made(5, ())
     reported: list[float] = []
@@ -193,6 +201,7 @@ def test_uncalibrated_sizes_have_no_u(found: Inspection) -> None:
     assert at(found, BUMP).height.status == "uncalibrated"
 
 
+@pytest.mark.slow
 def test_what_is_narrow_against_the_focus_window_says_that_it_is_higher_or_deeper() -> None:
     of = made()
     reported = replace(of.surface.provenance, recipe=Recipe(window=9), calibration=calibration())
@@ -222,6 +231,7 @@ def test_a_golden_die_of_another_size_is_refused() -> None:
         inspect(clean.surface, wider, golden=golden)
 
 
+@pytest.mark.slow
 def test_a_golden_die_that_looks_otherwise_is_refused() -> None:
     clean = made(5, ())
     golden = golden_of_surface(clean.surface, clean.grid)
@@ -250,6 +260,7 @@ def test_places_round_the_dies_that_hold_none_are_no_defects_and_that_is_reporte
     assert found.inspected_mm2 < 0.9 * inspect(full.surface, full.grid, DULL).inspected_mm2
 
 
+@pytest.mark.slow
 def test_a_die_that_a_job_names_is_a_defect_where_it_is_missing_at_the_rim() -> None:
     of = wafer(6, (5, 5), (120, 140), no_die=((0, 0),))
     found = inspect(of.surface, of.grid, DULL)

@@ -48,6 +48,7 @@ def require_found(grid: DieGrid, wafer: Wafer) -> None:
     assert grid.height_um == pytest.approx(wafer.height_um, abs=MOST_PX * wafer.pixel_um)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wafer", (TURNED | OTHERS).values(), ids=(TURNED | OTHERS).keys())
 def test_the_lattice_is_found_to_a_quarter_pixel(wafer):
     grid = find_dies(made(wafer))
@@ -56,6 +57,7 @@ def test_the_lattice_is_found_to_a_quarter_pixel(wafer):
     assert 0 < grid.u_pitch_um < 200e-6 * grid.pitch_x_um
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("evidence", "other"), [("height", "all_in_focus"), ("picture", "z_um")])
 def test_either_evidence_is_enough(evidence, other):
     surface = made()
@@ -65,6 +67,7 @@ def test_either_evidence_is_enough(evidence, other):
     assert grid == find_dies(surface, evidence=evidence), "the other evidence is not looked at"
 
 
+@pytest.mark.slow
 def test_a_missing_field_leaves_the_lattice_and_names_its_dies():
     surface = made(gap=Region.rectangle(600, 500, 900, 800), no_die=((2, 2),))
     grid = find_dies(surface)
@@ -99,6 +102,7 @@ def corners(wafer):
     return out, ((first + right) // 2, (lowest + high) // 2), (left, low)
 
 
+@pytest.mark.slow
 def test_the_corners_of_a_round_wafer_hold_no_dies_and_one_in_the_middle_is_missing():
     out, middle, (left, low) = corners(Wafer())
     surface = made(no_die=(*sorted(out), middle))
@@ -119,6 +123,7 @@ def test_dies_missing_next_to_a_gap_within_the_wafer_are_no_rim():
     assert without_bare_rim(grid, statuses(surface, grid)) == grid
 
 
+@pytest.mark.slow
 def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
     few = dataclasses.replace(lattice_refinement.REFINEMENT, cells_pixels=1)
     monkeypatch.setattr(lattice_refinement, "REFINEMENT", few)
@@ -133,6 +138,7 @@ def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
     assert set(zip(col.astype(int).tolist(), row.astype(int).tolist(), strict=True)) <= out
 
 
+@pytest.mark.slow
 def test_a_turned_surface_has_only_the_dies_that_lie_on_it():
     surface = made(TURNED["turned by 3"])
     grid = find_dies(surface)
@@ -153,6 +159,7 @@ def test_a_die_cut_by_the_edge_of_the_wafer_is_known():
     assert cut == {"cut"}
 
 
+@pytest.mark.slow
 def test_few_and_large_dies_are_found():
     wafer = Wafer(pitch_x_um=620.0, width_um=560.0, pitch_y_um=540.0, height_um=490.0, angle_deg=0.5)
     grid = find_dies(made(wafer))
@@ -160,6 +167,7 @@ def test_few_and_large_dies_are_found():
     assert grid.pitch_y_um == pytest.approx(540.0, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wafer", "sentence"),
     [
@@ -194,6 +202,7 @@ def every_other_die_another(grey: int):
     return dataclasses.replace(surface, all_in_focus=np.where(other, np.uint8(grey), surface.all_in_focus))
 
 
+@pytest.mark.slow
 def test_where_every_other_die_is_another_two_dies_repeat():
     assert find_dies(every_other_die_another(125), evidence="picture").pitch_x_um == pytest.approx(320.0, abs=0.1)
 
@@ -203,6 +212,7 @@ def test_every_other_die_nearly_another_leaves_the_pitch_open():
         find_dies(every_other_die_another(118), evidence="picture")
 
 
+@pytest.mark.slow
 def test_the_pitch_has_its_uncertainty_only_with_a_calibration():
     surface = made()
     grid = find_dies(surface)

@@ -19,6 +19,7 @@ made = cache(freshly_made)
 TRUE = Wafer().grid
 
 
+@pytest.mark.slow
 def test_dies_given_a_little_off_are_moved_onto_those_seen():
     given = replace(TRUE, x0_um=TRUE.x0_um + 5, y0_um=TRUE.y0_um - 7, pitch_x_um=TRUE.pitch_x_um + 0.4)
     fitted = fitted_dies(made(), replace(given, angle_rad=2e-3))
@@ -33,6 +34,7 @@ def test_dies_given_a_little_off_are_moved_onto_those_seen():
     assert "off where they were given" in fitted.grid.notes[-1]
 
 
+@pytest.mark.slow
 def test_names_and_size_stay_as_they_were_given():
     given = replace(TRUE, x0_um=TRUE.x0_um + 3, first_col=2, first_row=1, cols=3, rows=2, left_out=("3,1",))
     grid = fitted_dies(made(), given).grid
@@ -41,6 +43,7 @@ def test_names_and_size_stay_as_they_were_given():
     assert grid.u_pitch_um > 0
 
 
+@pytest.mark.slow
 def test_without_a_street_of_that_width_the_corner_is_as_given():
     given = replace(TRUE, width_um=TRUE.pitch_x_um, height_um=TRUE.pitch_y_um, x0_um=TRUE.x0_um + 40)
     fitted = fitted_dies(made(), given)
@@ -49,6 +52,7 @@ def test_without_a_street_of_that_width_the_corner_is_as_given():
     assert "No street as wide as given is seen along x and y" in fitted.grid.notes[0]
 
 
+@pytest.mark.slow
 def test_a_lattice_next_to_the_dies_is_refused():
     with pytest.raises(MeasureError, match=r"lie \d+ um off those that the surface shows") as message:
         fitted_dies(made(), replace(TRUE, x0_um=TRUE.x0_um + 70))
@@ -65,6 +69,7 @@ def test_where_nothing_is_seen_they_stay_as_given_and_it_is_reported():
     assert "used as given" in fitted.grid.notes[0]
 
 
+@pytest.mark.slow
 def test_a_turned_wafer_keeps_its_turn():
     wafer = Wafer(angle_deg=-3)
     fitted = fitted_dies(made(wafer), replace(wafer.grid, x0_um=wafer.x0_um - 4))

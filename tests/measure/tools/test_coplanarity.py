@@ -33,6 +33,7 @@ def found(die):
     return found_on(die)
 
 
+@pytest.mark.slow
 def test_100_bumps_and_the_tall_one_among_them(die, found):
     assert (found.n_bumps, found.left_out) == (100, 0)
     assert found.coplanarity.value_um == pytest.approx(die.range_um, abs=found.coplanarity.expanded_um)
@@ -46,6 +47,7 @@ def test_100_bumps_and_the_tall_one_among_them(die, found):
     assert any("least-squares plane of all tops" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_covers_the_heights_of_bumps(die, found):
     truth = {(round(x / PITCH_UM, 1), round(y / PITCH_UM, 1)): z - 2e-3 * x for x, y, z in die.tops}
     heights = [(bump.height, truth[_half(bump.place.x_um), _half(bump.place.y_um)]) for bump in found.bumps]
@@ -103,6 +105,7 @@ def test_both_planes_are_offered_and_each_says_which_it_is():
     assert found.coplanarity.value_um != pytest.approx(made.range_um, abs=0.01)
 
 
+@pytest.mark.slow
 def test_bumps_that_are_cut_or_not_measured_are_left_out_and_counted():
     made = bumped(side=4, holes=True)
     found = found_on(made)

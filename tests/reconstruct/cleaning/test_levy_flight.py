@@ -67,6 +67,7 @@ def test_the_literal_form_is_that_of_the_equations() -> None:
     assert len({float(e[0, 0]) for e in estimates}) > 2
 
 
+@pytest.mark.slow
 def test_smoothing_changes_only_outliers(step: tuple[NDArray, NDArray]) -> None:
     _, z = step
     for mode in ("guided", "switching_median"):

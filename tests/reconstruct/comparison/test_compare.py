@@ -29,6 +29,7 @@ def shift_at_centre(found: Registration, x_um: float, y_um: float, turn_mrad: fl
     return x_um + cos * dx - sin * dy - dx, y_um + sin * dx + cos * dy - dy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", [(3.3, -7.7, 0.0), (21.2, -11.1, 3.0), (-8.0, 12.4, -45.0)])
 def test_shift_and_turn_are_found_within_their_uncertainty(first, moved):
     found = compare(first, taken(*moved, seed=1)).registration

@@ -48,6 +48,7 @@ def test_a_measure_is_its_equation(measure: str, half: int, dtype: type, seed: i
     np.testing.assert_allclose(focus_image(image, measure, window), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", PAPER_MEASURES)
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_hardest_contrast_does_not_overflow(measure: str, dtype: type) -> None:

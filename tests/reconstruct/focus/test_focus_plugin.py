@@ -151,6 +151,7 @@ def contrast(image: NDArray, window: int) -> NDArray:
     return ndimage.maximum_filter(slope, window)
 
 
+@pytest.mark.slow
 def test_blocks_equal_the_whole_frame(added, plane_stack: FieldStack) -> None:
     added(contrast)
     frames, search = prepare(plane_stack), Search("own", 9, "argmax", 4)

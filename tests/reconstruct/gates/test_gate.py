@@ -29,6 +29,7 @@ def _share(origin: NDArray, *codes: Origin) -> float:
     return float(np.isin(origin, codes).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", focus_measures())
 @pytest.mark.parametrize("n_frames", [10, 40])
 @pytest.mark.parametrize("noise_counts", [0.5, 3.0])
@@ -74,6 +75,7 @@ def test_two_equal_peaks_are_ambiguous(make_stack: MakeStack) -> None:
     assert _share(height.origin, Origin.AMBIGUOUS) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("apart_um", "width_um", "placed"), [(7.0, 6.0, False), (6.0, "auto", True)])
 def test_of_two_tops_closer_than_rivals_only_the_middle_counts(
     make_stack: MakeStack, apart_um: float, width_um: float | str, placed: bool

@@ -66,6 +66,7 @@ def test_the_right_period_is_chosen_where_the_stage_is_good_enough(size, pitch_p
     assert np.concatenate(wrong).mean() < (0.03 if pitch_px < 50 else 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of_pitch", [0.25, 0.35, 0.6])
 def test_no_wrong_period_is_believed_by_a_stage_that_is_too_coarse(of_pitch):
     refused = []
@@ -224,6 +225,7 @@ def test_pictures_that_mislead_at_half_resolution_do_not_make_the_stage_look_coa
     assert np.abs(error_px(fields, true, choice)).max() < 1.0
 
 
+@pytest.mark.slow
 def test_what_very_many_pictures_tell_a_little_does_not_make_alternating_rows_likely():
     """In each overlap the right period fits a little worse than others, by noise and alike in all of them."""
     fields, rng = grid(20, 20), np.random.default_rng(7)

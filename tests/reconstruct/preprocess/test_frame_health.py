@@ -56,6 +56,7 @@ def false_share(stack: FieldStack) -> tuple[float, float]:
     return float(stored.mean()), float((np.abs(z_um - plane_um())[stored] > STEP_UM).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frame", "words"),
     [(255.0, "far brighter"), (0.0, "far darker"), (110.0, "shows nothing")],
@@ -145,6 +146,7 @@ def test_a_slit_of_light_that_is_in_focus_in_one_frame_is_no_fault(make_stack: M
     assert reported(changed(level, along_z(light))) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20, 32))
 def test_bleeding_and_clipped_light_is_no_fault(seed: int):
     assert reported(seen(drawn(seed), (64, 96)).stack) == []

@@ -44,6 +44,7 @@ def test_a_shift_is_found_to_a_small_part_of_a_pixel(sample, neighbour, off_px):
     assert found.correlation > 0.9
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_that_of_the_errors(sample):
     rng = np.random.default_rng(3)
     normalised = []

@@ -95,6 +95,7 @@ def test_dies_finer_than_the_stage_are_reported_to_lie_where_the_stage_says():
     assert info.n_by_stage == 16
 
 
+@pytest.mark.slow
 def test_a_wafer_that_its_overlaps_place_says_nothing_of_the_stage():
     poses, notes = stitched([a_sample(wafer(3))], 3)
     assert poses.shifts.believed.all()
@@ -104,6 +105,7 @@ def test_a_wafer_that_its_overlaps_place_says_nothing_of_the_stage():
     assert info.n_by_stage == 0
 
 
+@pytest.mark.slow
 def test_the_mend_that_the_note_names_helps():
     poses, notes = stitched([dies(30, wafer(3))], 3, Recipe(stitching=Stitching(search_um=6.0)))
     assert poses.shifts.believed.mean() > 0.8
@@ -126,6 +128,7 @@ def test_fields_that_hang_on_the_stage_next_to_others_are_named():
     assert "ambiguous (repeating pattern)" in note
 
 
+@pytest.mark.slow
 def test_the_command_line_says_that_the_stage_alone_placed_the_fields(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -141,7 +141,11 @@ def exits():
         function()
 
 
-@pytest.fixture(params=KINDS)
+QUICK = ("virtual", "micro-manager, software", "micro-manager, free, 12 bits")
+"""Kinds whose frames come without much waiting."""
+
+
+@pytest.fixture(params=[pytest.param(kind, marks=[pytest.mark.slow] * (kind not in QUICK)) for kind in KINDS])
 def bench(request, exits):
     """Every kind of camera in turn."""
     return KINDS[request.param](exits)

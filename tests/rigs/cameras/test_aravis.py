@@ -9,6 +9,7 @@ import pytest
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus
 from wafer_viewer.model.errors import RigError
 
+pytestmark = pytest.mark.slow
 RATE_HZ = 60.0
 
 
@@ -36,7 +37,6 @@ def test_frames_with_lost_packets_have_no_image_and_no_number(aravis):
     assert len(between) - 1 <= counts[-1] - counts[0] <= periods + 1
 
 
-@pytest.mark.slow
 def test_a_lost_camera_is_reported_in_words(aravis):
     fake, connect = aravis
     process = fake()
@@ -77,7 +77,7 @@ def test_the_trigger_line_and_the_region_are_set(aravis):
         ({"pixel_format": "RGB8"}, "'RGB8' cannot be read"),
         ({"gain": 99.0}, "has no gain 99: its range is 0 to 10"),
         ({"device": "GV99"}, "'GV99' was not found by Aravis; found are: Aravis-Fake-GV01"),
-        pytest.param({"device": "127.0.0.99"}, "refuses or does not answer", marks=pytest.mark.slow),
+        ({"device": "127.0.0.99"}, "refuses or does not answer"),
     ],
 )
 def test_settings_that_the_camera_lacks_are_refused_in_words(aravis, options, words):
@@ -87,7 +87,6 @@ def test_settings_that_the_camera_lacks_are_refused_in_words(aravis, options, wo
         connect(**options)
 
 
-@pytest.mark.slow
 def test_a_camera_is_found_by_its_serial_number_and_has_one_controller(aravis):
     fake, connect = aravis
     fake()

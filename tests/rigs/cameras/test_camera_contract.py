@@ -15,6 +15,7 @@ def complete(images):
     return [image for image in images if image is not None and image.status is FrameStatus.OK]
 
 
+@pytest.mark.slow
 def test_frames_come_in_order_with_status_and_image(bench):
     bench.start()
     images = bench.take(5)
@@ -28,6 +29,7 @@ def test_frames_come_in_order_with_status_and_image(bench):
         assert image.image.dtype == (np.uint8 if bench.limits.bits == 8 else np.uint16)
 
 
+@pytest.mark.slow
 def test_images_are_the_readers_own(bench):
     bench.start()
     first = bench.take(1)[0].image

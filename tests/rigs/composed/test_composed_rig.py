@@ -78,6 +78,7 @@ def test_every_example_can_be_read_and_sent_to_another_process(file):
     assert pickle.loads(pickle.dumps(config)) == config
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot", "x_lines"])
 @pytest.mark.parametrize("name", COMPOSED)
 def test_a_whole_scan_through_the_drivers_takes_every_frame_where_it_should(name, strategy, opened):
@@ -97,6 +98,7 @@ def test_a_whole_scan_through_the_drivers_takes_every_frame_where_it_should(name
         assert (frame.x_um, frame.y_um) == pytest.approx((field.x_um, field.y_um), abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_scan_through_the_drivers_is_referenced_by_the_index_marks_of_its_axes(opened):
     data = simulated("zaber_simulated")
     for axis, index_um in {"x": 1_000.0, "y": -1_000.0, "z": -500.0}.items():

@@ -89,6 +89,7 @@ def test_a_positioner_that_was_switched_on_is_not_homed_and_its_first_motion_hom
     assert not simulated(rig).axes["tilt_a"].homed
 
 
+@pytest.mark.slow
 def test_turning_the_nosepiece_changes_setup_limits_pixel_and_calibration(switch_on):
     rig = switch_on()
     assert (rig.setup.objective, rig.calibration) == ("unknown", None)
@@ -107,6 +108,7 @@ def test_turning_the_nosepiece_changes_setup_limits_pixel_and_calibration(switch
     assert rig.calibration is None
 
 
+@pytest.mark.slow
 def test_z_is_at_the_safe_z_of_all_objectives_while_anything_turns_and_stays_while_the_light_changes(switch_on):
     rig = switch_on()
     go(rig, "nosepiece", "10x")
@@ -152,6 +154,7 @@ def test_a_goal_that_cannot_be_is_refused_before_anything_moves(name, to, words,
     assert not rig.stage.homed()
 
 
+@pytest.mark.slow
 def test_a_positioner_that_never_arrives_is_stopped_at_its_deadline_and_named(switch_on):
     rig = switch_on()
     go(rig, "tilt_a", 0.0)
@@ -162,6 +165,7 @@ def test_a_positioner_that_never_arrives_is_stopped_at_its_deadline_and_named(sw
     assert rig.clock.now_s() - begun_s < 5.0
 
 
+@pytest.mark.slow
 def test_an_alarm_is_told_in_words_and_leaves_an_objective_that_is_not_known(switch_on):
     rig = switch_on()
     go(rig, "nosepiece", "10x")
@@ -192,6 +196,7 @@ def test_a_stop_ends_the_motion_of_a_positioner(switch_on):
     assert not axis.moving
 
 
+@pytest.mark.slow
 def test_the_simulated_camera_looks_through_the_objective_and_by_the_light_of_the_lamp(switch_on):
     rig = switch_on()
     go(rig, "lamp", 100.0)

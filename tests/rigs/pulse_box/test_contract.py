@@ -85,6 +85,7 @@ def test_each_axis_has_a_count_and_a_reference_of_its_own(world, box):
         box.arm(PulseTrain(axis="y", first_count=0, counts_per_frame=50, n_frames=4, direction=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", drawn_after(1, [-1, 1]))
 @pytest.mark.parametrize("rate", drawn_after(1, [40_000, 20_000]))
 def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):
@@ -103,6 +104,7 @@ def test_126_of_126_pulses_fall_on_their_counts(rate, direction, world, box):
     assert gaps_us == pytest.approx([100 / rate * 1e6] * (N - 1), abs=30)
 
 
+@pytest.mark.slow
 @mostly_of_the_core
 def test_a_pass_up_and_down_meets_each_count_once(world, box):
     up = train_from(world.position)
@@ -118,6 +120,7 @@ def test_a_pass_up_and_down_meets_each_count_once(world, box):
     assert box.disarm().emitted == 6, "500 to 1000, once each"
 
 
+@pytest.mark.slow
 def test_a_restart_is_noticed_and_after_a_reference_the_counts_are_right(world, box):
     box.arm(train_from(world.position))
     world.move(3_000)
@@ -132,6 +135,7 @@ def test_a_restart_is_noticed_and_after_a_reference_the_counts_are_right(world, 
     assert [p.count for p in pulses] == world.edges == counts_of(train)
 
 
+@pytest.mark.slow
 @of_the_core
 @pytest.mark.parametrize("seed", drawn_after(1, [1, 2]))
 def test_300_commands_on_a_bad_line_are_carried_out_300_times(seed, world, box):
@@ -149,6 +153,7 @@ def test_300_commands_on_a_bad_line_are_carried_out_300_times(seed, world, box):
     assert box.retries > 5
 
 
+@pytest.mark.slow
 @of_the_core
 def test_records_lost_on_a_bad_line_are_fetched(world, box):
     box._wire._port = BadPort(world.port, 3, lost=0.1, damaged=0.1)
@@ -169,6 +174,7 @@ def test_edges_that_were_missed_are_quadrature_errors_and_the_count_is_off(world
     assert box.disarm().quadrature_errors == 0, "of the last run only"
 
 
+@pytest.mark.slow
 @mostly_of_the_core
 def test_pulses_too_near_to_each_other_are_suppressed_and_counted(world, box):
     train = train_from(world.position, n=40)
@@ -211,6 +217,7 @@ def test_arming_twice_is_refused_and_arming_forgets_the_run_before(world, box):
     assert box.disarm().emitted == 0
 
 
+@pytest.mark.slow
 def test_a_halt_stops_pulses_at_once(world, box):
     train = train_from(world.position)
     box.arm(train)
@@ -232,6 +239,7 @@ def test_a_box_alone_meets_the_demands_of_the_conformance_checks(world):
     assert {name: (one.fault, one.skipped) for name, one in outcomes.items() if one.fault or one.skipped} == {}
 
 
+@pytest.mark.slow
 def test_a_pass_may_be_longer_than_the_ring(world, box):
     n = box.identity.ring + 100
     train = train_from(world.position, n=n, pitch=40 if n < 1_000 else 20)
@@ -240,6 +248,7 @@ def test_a_pass_may_be_longer_than_the_ring(world, box):
     assert [p.count for p in pulses] == counts_of(train)
 
 
+@pytest.mark.slow
 @of_the_core
 def test_records_that_left_the_ring_are_refused(world, box):
     n = box.identity.ring + 20

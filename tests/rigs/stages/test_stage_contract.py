@@ -13,6 +13,7 @@ LATE_S = 0.1
 """A busy machine may look that late at a rig that lives in real time."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("check", stage_checks.CHECKS, ids=lambda check: check.name)
 @pytest.mark.parametrize("kind", [kind for kind in BENCHES if "real time" not in kind])
 def test_it_meets_the_demands_of_the_conformance_checks(kind, check):

@@ -85,6 +85,7 @@ def test_it_can_be_stopped():
     assert prerender(ORDER, NoLive(), lambda: True) is None
 
 
+@pytest.mark.slow
 def test_a_process_that_fails_is_said_in_a_sentence():
     broken = PrerenderJob(scene="moon", seed=3, limits=LIMITS, plan=PLAN, here_um=(0.0, 0.0, 0.0))
     with pytest.raises(RigError, match=r"beforehand failed .*moon"):

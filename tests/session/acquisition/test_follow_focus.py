@@ -74,6 +74,7 @@ def test_a_field_whose_focus_touches_an_end_is_taken_again_wider(bumped, tmp_pat
     assert len(data.stack(plan.fields[0].number).z_um) == plan.fields[0].n_frames
 
 
+@pytest.mark.slow
 def test_a_scan_that_is_stopped_while_fields_are_taken_again_goes_on(bumped, tmp_path):
     rig, plan, unseen = bumped
     scan, steering, told = Scan(tmp_path / "scan.wafer", plan, JOB), Steering(), []
@@ -138,6 +139,7 @@ def test_focus_beyond_the_whole_sweep_is_reported(tmp_path):
     assert any("at an end of the whole sweep" in what for what in told)
 
 
+@pytest.mark.slow
 def test_a_plan_file_asks_for_it_and_the_scan_looks_first(tmp_path):
     job = decode(encode(JOB), Job, "plan.toml")
     assert job == JOB

@@ -140,6 +140,7 @@ def test_a_plan_for_a_rig_is_of_the_objective_in_the_light_path():
         rig.close()
 
 
+@pytest.mark.slow
 def test_the_command_line_lists_and_moves_positioners(capsys):
     assert main(["positioners", "--rig", str(NOSEPIECE), "--move", "lamp=40", "nosepiece=20x"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -64,6 +64,7 @@ def test_hidden_delays_are_found_within_their_u(hidden_rig, tmp_path):
     assert np.median(shares) < 20.0, "an uncertainty that is far too large is no help either"
 
 
+@pytest.mark.slow
 def test_an_accepted_delay_is_right_when_it_is_measured_again(hidden_rig, tmp_path):
     rig = hidden_rig()
     first = run_calibration(rig, "delay", tmp_path, SITE, repeats=2)
@@ -258,6 +259,7 @@ def test_a_hidden_distortion_is_found_and_is_in_the_budget_of_lengths(hidden_rig
     assert require_calibration(rig, tmp_path).u_mapping_um == result.sets["u_mapping_um"]
 
 
+@pytest.mark.slow
 def test_the_response_to_a_step_is_as_wide_as_the_windows_of_the_reconstruction(hidden_rig, tmp_path):
     rig = hidden_rig(shape=WIDE, renderer=SteppedRenderer(20.0, WIDE))
     result = run_calibration(rig, "resolution", tmp_path, CalibrationSite(z_range_um=50.0, exposure_us=125.0))

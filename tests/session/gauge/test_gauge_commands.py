@@ -87,6 +87,7 @@ def scans(tmp_path):
     return [scan_of_blocks(tmp_path, seed, 0.3) for seed in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_from_the_certificate_to_a_signed_check_in_log_and_results(bench, scans):
     assert bench.gauge.load_certificate(CERTIFICATE).result().number == "EXAMPLE-2"
     bench.gauge.set_terms(GaugeTerms(limit_um=1.0, temperature_c=21.0, tolerance_um=10.0)).result()
@@ -120,6 +121,7 @@ def test_from_the_certificate_to_a_signed_check_in_log_and_results(bench, scans)
     assert (bench.state.signed, len(bench.state.repeats)) == (None, 1)
 
 
+@pytest.mark.slow
 def test_the_z_scale_is_offered_after_signing_and_set_by_a_person(bench, scans):
     bench.gauge.load_certificate(CERTIFICATE).result()
     for path in scans:

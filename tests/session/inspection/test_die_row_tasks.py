@@ -119,6 +119,7 @@ def test_a_stopped_inspection_says_so_and_leaves_nothing(made):
         assert not list(stored(made).path.glob(".inspection-*"))
 
 
+@pytest.mark.slow
 def test_no_more_than_a_strip_is_read_at_a_time(made, monkeypatch):
     wafer = made[1]
     monkeypatch.setattr(die_cells, "FORM_POINTS", 10_000)

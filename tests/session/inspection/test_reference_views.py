@@ -141,6 +141,7 @@ def test_a_defect_is_compared_with_other_dies_and_the_last_scan(folder: Path):
     assert (x1 - x0) / (y1 - y0) == pytest.approx(4 / 3, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_rotated_earlier_scan_is_mapped_by_both_alignments(tmp_path: Path):
     turned = dataclasses.replace(WAFER, angle_deg=2.0, seed=8)
     about = Alignment(rotation_rad=math.radians(-2.0))

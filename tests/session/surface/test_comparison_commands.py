@@ -71,6 +71,7 @@ def test_every_face_of_a_comparison_lies_on_the_lattice_of_the_first(pair, store
         assert np.array_equal(right, second.window(None, level).z_um[:rows, : right.shape[1]], equal_nan=True)
 
 
+@pytest.mark.slow
 def test_raw_and_cleaned_heights_of_one_surface(pair, names):
     raw, cleaned = (SurfaceName(path=names[0].path, heights=h) for h in ("raw", "cleaned"))
     made = subtract(pair[1], "difference-cleaned", raw, cleaned, "auto", False)
@@ -80,6 +81,7 @@ def test_raw_and_cleaned_heights_of_one_surface(pair, names):
     assert made.change.n_points == np.isfinite(z.z_um - z.z_raw_um).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("requested", [1, 2])
 def test_one_that_is_stopped_before_or_while_it_is_written_leaves_nothing_behind(pair, names, requested):
     answers = iter([False] * (requested - 1) + [True] * 9)
@@ -89,6 +91,7 @@ def test_one_that_is_stopped_before_or_while_it_is_written_leaves_nothing_behind
     assert not list((pair[0] / "results").glob(".*"))
 
 
+@pytest.mark.slow
 def test_leftovers_of_a_killed_job_are_removed_by_the_next(pair, names):
     left = pair[0] / "results" / ".difference-y.999999999-abc123.part"
     left.mkdir()

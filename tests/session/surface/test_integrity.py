@@ -262,6 +262,7 @@ def deletable(dataset: Path) -> list[str]:
     return [name for name in files_of(dataset) if re.search(r"/default/mosaic\.zarr/\w+/(\d+/)?c/", name)]
 
 
+@pytest.mark.slow
 def test_a_deleted_shard_is_no_ground_without_heights(dataset, tmp_path):
     path = shutil.copytree(dataset, tmp_path / "a.wafer")
     result, names = Dataset.open(path).result(), deletable(path)

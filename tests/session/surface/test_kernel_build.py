@@ -104,6 +104,7 @@ def test_part_of_other_sources_is_compiled_again(log, monkeypatch):
     assert compiled(log) == ["a", "a"]
 
 
+@pytest.mark.slow
 def test_part_in_another_process_is_left_to_it_and_waited_for(log, tmp_path, patience_s):
     end = tmp_path / "end"
     parts = KernelPart("a", partial(note_and_wait, log, "a", end)), KernelPart("b", partial(note, log, "b"))
@@ -118,6 +119,7 @@ def test_part_in_another_process_is_left_to_it_and_waited_for(log, tmp_path, pat
     assert compiled(log) == ["a", "b"]
 
 
+@pytest.mark.slow
 def test_part_of_a_killed_process_is_compiled_by_the_one_that_waits(log, tmp_path, patience_s):
     part = KernelPart("a", partial(note_and_wait, log, "a", tmp_path / "end"))
     with alongside(partial(compile_parts, [part])) as first:
@@ -131,6 +133,7 @@ def test_part_of_a_killed_process_is_compiled_by_the_one_that_waits(log, tmp_pat
     assert set(compiled(log)) == {"a"}
 
 
+@pytest.mark.slow
 def test_missing_parts_are_compiled_by_two_processes_and_their_progress_is_reported(log):
     reported = []
     parts = [KernelPart(name, partial(note, log, name)) for name in "abcd"]
@@ -144,6 +147,7 @@ def test_missing_parts_are_compiled_by_two_processes_and_their_progress_is_repor
     assert all(progress.n_parts == 3 for progress in reported)
 
 
+@pytest.mark.slow
 def test_compilation_ends_when_it_is_stopped(log, tmp_path, patience_s):
     part = KernelPart("a", partial(note_and_wait, log, "a", tmp_path / "never"))
     compile_missing([part], should_stop=log.exists)

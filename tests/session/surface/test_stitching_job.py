@@ -91,6 +91,7 @@ def test_fields_that_come_are_placed_beside_the_others_and_solved_for_together_a
     assert np.abs(grown.z_um - complete.z_um).max() < 0.02
 
 
+@pytest.mark.slow
 def test_nothing_new_leaves_the_mosaic_alone(dataset, made):
     stored = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)
@@ -101,6 +102,7 @@ def test_nothing_new_leaves_the_mosaic_alone(dataset, made):
     assert info.n_fields == 4
 
 
+@pytest.mark.slow
 def test_a_field_made_again_is_shown_as_it_is_now(dataset, made):
     stored = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)

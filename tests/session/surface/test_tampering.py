@@ -379,6 +379,7 @@ def test_a_copy_in_a_folder_with_another_key_is_good_and_can_be_worked_on(datase
     assert not is_found(dataset)
 
 
+@pytest.mark.slow
 def test_a_new_dataset_of_an_old_name_is_not_asked_for_the_manifest_of_the_old_one(dataset):
     shutil.rmtree(dataset)
     assert (dataset.parent / KEPT_IN / MARKS / dataset.name).exists()

@@ -81,6 +81,7 @@ def half_made(tmp_path):
         maker.wait()
 
 
+@pytest.mark.slow
 def test_a_name_is_free_again_after_its_maker_was_killed(half_made):
     path, maker = half_made
     aged(path)
@@ -93,6 +94,7 @@ def test_a_name_is_free_again_after_its_maker_was_killed(half_made):
     assert len(Dataset.open(path).fields) == 2
 
 
+@pytest.mark.slow
 def test_a_name_is_free_at_once_after_its_maker_was_killed(half_made):
     path, maker = half_made
     maker.send_signal(signal.SIGKILL)

@@ -53,6 +53,7 @@ def installed(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_python_api_the_page_and_the_errors_know_it(installed):
     found = json.loads(run_with(installed, "-W", "error", "-c", EVERYWHERE, str(installed)).stdout)
     assert found["is_same"]
@@ -66,6 +67,7 @@ def test_the_python_api_the_page_and_the_errors_know_it(installed):
     assert set(found["listed"]) == {"dataset", "images", "surface"}
 
 
+@pytest.mark.slow
 def test_the_command_line_exports_and_imports_it(installed):
     def run(*words):
         return run_with(installed, "-m", "wafer_viewer", *(str(word) for word in words))
@@ -92,6 +94,7 @@ def test_one_with_the_suffix_of_another_format_is_named_and_left_out(tmp_path):
     assert "PluginWarning: The format 'Mine' is left out, .npz is taken: rename it." in done.stderr
 
 
+@pytest.mark.slow
 def test_one_whose_reader_cannot_be_loaded_is_refused_in_one_sentence(tmp_path):
     source = "from wafer_viewer.model.surface_format import SurfaceFormat\n"
     source += "MINE = SurfaceFormat(suffixes=('.mine',), title='Mine', reader='nowhere:read')\n"

@@ -174,6 +174,7 @@ def test_a_lossless_format_reports_no_losses(tmp_path):
     assert losses(make_surface(), tmp_path / "a.npz") == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", WRITTEN)
 def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
     surface = make_surface(rows=300, cols=100, x0_um=0.0, y0_um=0.0)
@@ -274,6 +275,7 @@ def by_hand(z):
     return points, [t for a, b, c, d in whole for t in ((a, c, b), (b, c, d))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", MESHES)
 def test_a_mesh_is_written_without_holding_all_of_it(tmp_path, ending):
     def peak_bytes(rows):

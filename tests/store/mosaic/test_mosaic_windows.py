@@ -47,6 +47,7 @@ WINDOWS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("windows", WINDOWS)
 def test_windows_made_again_are_as_if_all_had_been_made_again(stored, tmp_path, surface, windows):
     copy = ZarrMosaic.open(shutil.copytree(stored.path, tmp_path / "m.zarr"))
@@ -61,6 +62,7 @@ def test_windows_made_again_are_as_if_all_had_been_made_again(stored, tmp_path, 
         np.testing.assert_array_equal(getattr(copy.facts(), name), getattr(anew.facts(), name), err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("windows", WINDOWS)
 def test_levels_are_means_of_measured_pixels_after_windows_were_made_again(tmp_path, surface, windows):
     gappy, other = with_gaps(surface, 1), with_gaps(surface, 2)
@@ -149,6 +151,7 @@ def test_damaged_facts_are_named(stored, tmp_path):
         ZarrMosaic.open(path).facts()
 
 
+@pytest.mark.slow
 def test_readers_never_see_half_a_shard(stored, tmp_path, surface):
     """One writes two states in turn; whatever is read of a shard is one of them as a whole."""
     path = shutil.copytree(stored.path, tmp_path / "m.zarr")

@@ -205,6 +205,7 @@ def test_a_tiny_surface_has_two_levels(tmp_path):
     assert stored.window(level=1).shape == (1, 2)
 
 
+@pytest.mark.slow
 def test_sixteen_bit_grey_is_kept(tmp_path):
     surface = make_surface(grey=np.uint16)
     assert_same_surface(write_mosaic(tmp_path / "m.zarr", surface).window(), surface)
@@ -285,6 +286,7 @@ def test_the_root_is_an_image_of_the_format_with_a_pyramid_for_each_layer(stored
         assert [d.path for d in one.datasets] == [f"{one.name}/{d.path}" for d in alone.datasets]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer", ["", "all_in_focus"])
 def test_another_reader_sees_every_level_where_it_lies_on_the_stage(stored, surface, layer):
     ngff_zarr = pytest.importorskip("ngff_zarr")
@@ -322,6 +324,7 @@ def test_threads_make_the_same_mosaic(stored, tmp_path, surface):
         assert_same_surface(copy.window(level=level), stored.window(level=level))
 
 
+@pytest.mark.slow
 def test_the_differences_of_overlaps_are_kept_and_averaged_on_the_way_up(tmp_path, surface):
     overlap = np.full(surface.shape, np.nan, np.float32)
     overlap[40:60, 80:100] = 2.0

@@ -64,6 +64,7 @@ def tiles_on(browser: Browser) -> set[str]:
     return {name for name in browser.scene.names("/surface/") if "wall" not in name}
 
 
+@pytest.mark.slow
 def test_only_what_changed_is_painted_again(browser: Browser, growing: GrowingSession, scene: SceneView) -> None:
     growing.grow(30)
     scene.draw(growing.snapshot, VIEW)
@@ -92,6 +93,7 @@ def test_where_it_is_not_told_what_changed_all_is_painted_again(
     assert tiles(growing) >= first + drawn
 
 
+@pytest.mark.slow
 def test_the_camera_the_ground_and_the_range_stay_while_it_grows(
     browser: Browser, growing: GrowingSession, scene: SceneView
 ) -> None:
@@ -186,6 +188,7 @@ def test_overlays_are_of_the_stitched_surface_alone(browser: Browser, whole: Sti
     scene.close()
 
 
+@pytest.mark.slow
 def test_poses_that_cannot_be_read_are_told_once_and_the_surface_stands(
     browser: Browser, whole: StitchedSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +206,7 @@ def test_poses_that_cannot_be_read_are_told_once_and_the_surface_stands(
     scene.close()
 
 
+@pytest.mark.slow
 def test_a_surface_without_overlaps_is_coloured_by_height_instead(browser: Browser, growing: GrowingSession) -> None:
     shown: list[str] = []
     scene = SceneView(browser, growing)  # pyright: ignore[reportArgumentType]
@@ -220,6 +224,7 @@ def test_a_surface_without_overlaps_is_coloured_by_height_instead(browser: Brows
     scene.close()
 
 
+@pytest.mark.slow
 def test_after_every_move_of_the_camera_tiles_cover_the_surface_once(
     browser: Browser, growing: GrowingSession, scene: SceneView
 ) -> None:
