@@ -153,8 +153,8 @@ def test_the_command_line_gives_a_map_of_poor_stacks(plane_stack: FieldStack, tm
 
 @pytest.mark.parametrize(
     ("make", "words"),
-    [(lambda i: i[:2], "at least 3"), (lambda i: i.astype(np.float32), "8 or 16 bits")],
-    ids=["two frames", "float"],
+    [(lambda i: i[:2], "at least 3"), (lambda i: i.astype(np.int32), "8 or 16 bits")],
+    ids=["two frames", "32 bits"],
 )
 def test_the_command_line_refuses_in_one_sentence(
     plane_stack: FieldStack, tmp_path: Path, make, words: str, capsys: pytest.CaptureFixture[str]

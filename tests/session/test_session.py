@@ -236,11 +236,11 @@ def test_images_are_imported_opened_and_reconstructed(session, surfaced, patienc
     assert "imported" in done.dataset.calibration_problem
     assert np.nanmedian(session.mosaic().window().z_um) == pytest.approx(12.0, abs=0.5)
 
+    with pytest.raises(WaferViewerError, match="pixel"):
+        session.import_images((tmp_path,), z_step_um=2.0, pixel_um=None, name="broken").result(patience_s)
     (tmp_path / "s5.tif").write_text("this is not an image")
     with pytest.raises(DatasetError, match=r"s5\.tif"):
         session.import_images((tmp_path,), z_step_um=2.0, pixel_um=0.5, name="broken").result(patience_s)
-    with pytest.raises(WaferViewerError, match="pixel"):
-        session.import_images((tmp_path,), z_step_um=2.0, pixel_um=None, name="broken").result(patience_s)
     assert not list(session.snapshot.data_folder.glob("*broken*"))
     assert session.snapshot.dataset.path == path
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shutil
 
 import numpy as np
 import pytest
@@ -144,21 +143,6 @@ def test_a_surface_that_is_written_again_with_the_same_content_changes_nothing(d
 
 def _files(folder):
     return sorted(path for path in folder.rglob("*") if path.is_file())
-
-
-@pytest.mark.slow
-def test_a_mosaic_of_an_earlier_version_is_drawn_anew_when_a_field_changes(dataset, made):
-    stored = add_surfaces(dataset, made, range(4))
-    bring_up_to_date(dataset, RESULT, REGISTERED)
-    shutil.rmtree(stored.mosaic_path / "n_origin")
-    bring_up_to_date(dataset, RESULT, REGISTERED)
-    assert not (stored.mosaic_path / "n_origin").exists()
-    before = stored.poses()
-    add_surfaces(dataset, made, [4])
-    info = bring_up_to_date(dataset, RESULT, REGISTERED, final=False)
-    assert (stored.mosaic_path / "n_origin").exists()
-    assert info.changed == ()
-    np.testing.assert_array_equal(stored.poses().x_um[:4], before.x_um)
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFilter
-from scipy import ndimage
 
 from wafer_viewer.draw.colormaps import BRUSH, ELSEWHERE, Rgb, origin_table, rgb, table
 from wafer_viewer.draw.raster_text import font, write
@@ -218,6 +217,8 @@ class Shading:
 
 def without_gaps(z_um: Heights) -> Heights:
     """Return the heights with gaps filled from the nearest measured pixel; zeros if nothing is measured."""
+    from scipy import ndimage
+
     gaps = ~np.isfinite(z_um)
     if not gaps.any():
         return z_um
@@ -237,6 +238,8 @@ def light_gain(z_um: Heights, pixel_um: float) -> float:
 
 def shade(z_um: Heights, pixel_um: float, gain: float, span_um: float) -> Shading:
     """Return the shading of heights without gaps; `span_um` is the height range that scales the occlusion."""
+    from scipy import ndimage
+
     smooth = ndimage.gaussian_filter(z_um, _NOISE_PX) * np.float32(gain / pixel_um)
     down, right = np.gradient(smooth)
     flat = 1 / np.sqrt(right * right + down * down + 1)
@@ -255,6 +258,8 @@ def _occlusion(z_um: Heights, span_um: float) -> Heights:
 
 def _mean(z_um: Heights, width_px: int) -> Heights:
     """Return two passes of a box filter: close to a Gaussian, with a cost independent of its width."""
+    from scipy import ndimage
+
     once = ndimage.uniform_filter(z_um, width_px, mode="nearest")
     return np.asarray(ndimage.uniform_filter(once, width_px, mode="nearest"), np.float32)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, NoReturn, TypeVar
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
@@ -96,3 +96,8 @@ class ImageOptions(Spec, frozen=True, kw_only=True):
     only: str | None = None
     as_listed: bool = False
     overrule: bool = False
+
+    def refuse(self, name: str, limit: str) -> NoReturn:
+        """Raise DatasetError with the value in its unit."""
+        title, unit = name.removesuffix("_um").replace("_", " "), " um" if name.endswith("_um") else ""
+        raise self.error(f"The {title} is {getattr(self, name)}{unit}: it must be {limit}.")
