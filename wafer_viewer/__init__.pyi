@@ -44,6 +44,7 @@ from .model.acquisition.plan import FocusSweep as FocusSweep
 from .model.acquisition.plan import ScanPlan as ScanPlan
 from .model.acquisition.sample import Sample as Sample
 from .model.errors import WaferViewerError as WaferViewerError
+from .model.file_contents import FileContents as FileContents
 from .model.gauge import Certificate as Certificate
 from .model.gauge import GaugeCheck as GaugeCheck
 from .model.gauge import GaugeRR as GaugeRR
@@ -97,6 +98,7 @@ from .session.reporting.conformance_report import write_conformance as write_con
 from .session.session import Session as Session
 from .session.surface.worker_tasks import write_fields as write_fields
 from .store.dataset.dataset import Dataset as Dataset
+from .store.dataset.file_contents import file_contents as file_contents
 from .store.dataset.stack_import import import_dataset as import_dataset
 from .store.dataset.stack_import import open_stack as open_stack
 from .store.formats.conversion import export as export

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.acquisition.positioners import PositionerState
     from wafer_viewer.model.acquisition.procedure import FoundExposure
+    from wafer_viewer.model.file_contents import FileContents
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.model.roles import Action, AuditEntry
@@ -164,6 +165,26 @@ def print_surface(out: Path, info: SurfaceInfo) -> None:
         print(f"  {share:.1%} {reason}")
     for note in info.recipe_notes:
         print(f"  {note}")
+
+
+def print_contents(found: FileContents) -> None:
+    """Print what a source holds: facts with their sources, the frames in order with their z, notes and doubts."""
+    print(f"{found.name}: {found.kind}")
+    width = max((len(fact.name) for fact in found.facts), default=0)
+    for fact in found.facts:
+        print(f"  {fact.name:<{width}}  {fact.value}" + (f"  ({fact.source})" if fact.source else ""))
+    shown = found.frames if len(found.frames) <= 2 * NAMED else (*found.frames[:NAMED], *found.frames[-NAMED:])
+    for n, frame in enumerate(shown):
+        if n == NAMED and len(shown) < len(found.frames):
+            print(f"  ... {len(found.frames) - len(shown)} more")
+        z = "" if frame.z_um is None else f"  {frame.z_um:g} um"
+        print(f"  {frame.name or 'missing'}{z}")
+    for note in found.notes:
+        print(f"Note: {note}")
+    for doubt in found.doubts:
+        print(f"To settle: {doubt}")
+    if found.can_import and found.kind != "dataset":
+        print("It can be imported as it is.")
 
 
 def print_files(kinds: Iterable[KindReport]) -> None:

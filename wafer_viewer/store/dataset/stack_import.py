@@ -23,11 +23,11 @@ from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, Fo
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
-from wafer_viewer.numerics.frame_sequence import contradicting_order, place_sharpness
+from wafer_viewer.numerics.frame_sequence import place_sharpness
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths
-from wafer_viewer.store.images.stack_source import SourceField, StackSource, read_source
+from wafer_viewer.store.images.stack_source import SourceField, StackSource, order_doubt, read_source
 from wafer_viewer.store.io.atomic_files import atomic_write, require_space
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
@@ -169,16 +169,9 @@ def _require_supported(frames: Iterable[tuple[ImagePlane, Image]]) -> None:
     seen = [(plane.name, place_sharpness(image)) for plane, image in frames]
     if len({len(sharpness) for _, sharpness in seen}) > 1:  # of several sizes, which is refused elsewhere
         return
-    found = contradicting_order(np.stack([sharpness for _, sharpness in seen]))
-    if found is None:
-        return
-    supported = [seen[k][0] for k in found.order]
-    ends = f"{', '.join(supported[:3])} ... {supported[-1]}"
-    raise DatasetError(
-        "The images contradict the order of their names: sharpness rises and falls several times at most places, and "
-        f"once in another order, {ends}. {NOTHING_WRITTEN} Give the files in that order, or say that the present one "
-        "is right with --as-listed."
-    )
+    doubt = order_doubt([name for name, _ in seen], np.stack([sharpness for _, sharpness in seen]))
+    if doubt is not None:
+        raise DatasetError(f"{doubt} {NOTHING_WRITTEN}")
 
 
 def _only_field(source: StackSource) -> SourceField:
@@ -313,7 +306,7 @@ def dataset_of(
         name = field.name if len(source.fields) > 1 or options.pattern is not None else "the source"
         _require_frames(sum(None not in slot for slot in field.slots), name)
     if not source.order_is_stated:
-        _require_supported((plane, plane.read()) for plane in _first_exposure(source.fields[0]))
+        _require_supported((plane, plane.read()) for plane in _first_exposure(next(iter(source.fields))))
     first = next(plane for field in source.fields for plane in _planes(field)).read()
     job = _job(source, first, overlap_fraction)
     pixel_um = source.pixel_um.value

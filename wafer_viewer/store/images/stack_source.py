@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated, Statements
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.numerics.frame_sequence import contradicting_order
 from wafer_viewer.store.images.frame_names import FrameOrder, frame_order
 from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, image_files, planes_of
 from wafer_viewer.store.images.name_pattern import Cell, NamedPlane, planes_by_pattern
@@ -168,6 +170,22 @@ def _stacks(by_file: Mapping[Path, Sequence[ImagePlane]]) -> list[ImagePlane]:
             position = plane.position or path.stem
             found.setdefault((plane.path, plane.page), replace(plane, position=position))
     return list(found.values())
+
+
+# --- order
+
+
+def order_doubt(names: Sequence[str], sharpness: NDArray[np.float64]) -> str | None:
+    """Return a sentence where the images contradict the order of their names; `sharpness` is [frame, place]."""
+    found = contradicting_order(sharpness)
+    if found is None:
+        return None
+    supported = [names[k] for k in found.order]
+    return (
+        "The images contradict the order of their names: sharpness rises and falls several times at most places, and "
+        f"once in another order, {', '.join(supported[:3])} ... {supported[-1]}. Give the files in that order, or say "
+        "that the present one is right with --as-listed."
+    )
 
 
 # --- statements
