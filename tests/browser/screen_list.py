@@ -13,6 +13,7 @@ from typing import Any
 
 from playwright.sync_api import Page
 
+from tests.browser.recording import done
 from tests.browser.sessions import calibrated_states as calibrated
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
@@ -27,11 +28,12 @@ from tests.browser.sessions.inspected_states import failed, held_elsewhere, insp
 from tests.browser.sessions.live_session import live_session
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.sessions.reviewed_session import reviewed_session
-from tests.browser.sessions.seen_session import SeenSession, a_focus_curve, came_to
+from tests.browser.sessions.seen_session import SeenSession, a_focus_curve
 from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.sessions.stitched_session import StitchedSession
 from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import GaugeState
 from wafer_viewer.session.state.snapshot import NotebookState
 
@@ -107,7 +109,7 @@ def ask_why(page: Page) -> None:
 def explained(measured: bool) -> SeenSession:
     """A session that says why a pixel has its height, or none."""
     session = SeenSession()
-    session.answers.append(came_to(a_focus_curve(-12.4, 37.0, measured)))
+    session.answers.append(done(a_focus_curve(-12.4, 37.0, measured)))
     return session
 
 
@@ -117,7 +119,7 @@ def noted() -> StitchedSession:
     step = fake.a_step(Region.rectangle(-80, 0, -20, 40), Region.rectangle(20, 0, 80, 40))
     line, _ = fake.a_profile(Region.line(-200, -100, 150, -60, 3.0))
     named = [(step, "Die to trench"), (line, "Across the gel drop"), (step, "Die 4 to trench")]
-    findings = tuple(fake.dataclass_named(made, name, k + 1) for k, (made, name) in enumerate(named))
+    findings = tuple(replace(made, name=name, number=k + 1) for k, (made, name) in enumerate(named))
     pose = {"position_mm": (0.1, -0.9, 0.8), "look_at_mm": (0.0, 0.0, 0.0)}
     views = tuple(SavedView(number=k + 1, name=name, **pose) for k, name in enumerate(("The edge", "Gel drop, near")))
     judged = (

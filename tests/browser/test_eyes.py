@@ -35,7 +35,7 @@ def session(tmp_path: Path) -> StitchedSession:
     made = StitchedSession(3, 3)
     step = fake.a_step(Region.rectangle(-80, 0, -20, 40), Region.rectangle(20, 0, 80, 40))
     line, _ = fake.a_profile(Region.line(-200, -100, 150, -60, 3.0))
-    results = (fake.dataclass_named(step, "Die to trench", 1), fake.dataclass_named(line, "Across the drop", 2))
+    results = (replace(step, name="Die to trench", number=1), replace(line, name="Across the drop", number=2))
     made.change(findings=results)
     made.papers.folder = tmp_path
     return made

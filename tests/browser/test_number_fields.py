@@ -37,12 +37,14 @@ def clicks(count: int, across: float) -> Way:
 
 
 def keys(*pressed: str, across: float = 0.5) -> Way:
-    """Return a way of clicking once and then pressing keys."""
+    """Return a way of clicking once and then pressing keys, no faster than a hand: the page moves the caret late."""
 
     def press(page: Page, field: Locator) -> None:
         clicks(1, across)(page, field)
         for key in pressed:
+            page.wait_for_timeout(HAND_MS)
             page.keyboard.press(key)
+        page.wait_for_timeout(HAND_MS)
 
     return press
 
