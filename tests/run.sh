@@ -129,9 +129,10 @@ end_types() {
   return "$failed"
 }
 
-# Of files that go to one worker as a whole, the longest are begun first (tests/support/durations.py).
+# Of files that go to one worker as a whole, the longest are begun first (tests/support/durations.py). A worker that a
+# driver of another maker brings down ends the run; with a new worker in its place xdist waits for ever.
 run_tests() {
-  "$bin/python" -m pytest -q --durations=25 --no-loadscope-reorder "$@"
+  "$bin/python" -m pytest -q --durations=25 --no-loadscope-reorder --max-worker-restart 0 "$@"
 }
 
 # All cases of one kind of campaigns. What failed is in the results; a kind without tests ends with 5.

@@ -117,7 +117,7 @@ def test_a_sign_is_what_it_reads_as(serve: Serve, session: fake.FakeSession):
     for copied, stands in (("\u22126,5 µm", "-6.5"), ("-1e-1", "-0.1"), ("-1 2.5 um", "-12.5"), ("3 mm", "-12.5")):
         page.evaluate("text => navigator.clipboard.writeText(text)", copied)
         keys("Control+a", "Control+v")(page, field)
-        assert field.input_value() == stands, copied
+        expect(field, copied).to_have_value(stands)
     gets(session, -12.5)
 
 
