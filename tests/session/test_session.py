@@ -13,6 +13,7 @@ import psutil
 import pytest
 from distributed import LocalCluster, Security
 
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError, RigError, WaferViewerError
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
@@ -229,18 +230,22 @@ def test_images_are_imported_opened_and_reconstructed(session, surfaced, patienc
     for k in range(12):
         spread = 5 + 60 * np.exp(-((k - 6) ** 2) / 4)
         tifffile.imwrite(tmp_path / f"s{k}.tif", noise.normal(128, spread, (96, 128)).clip(0, 255).astype(np.uint8))
-    path = session.import_images((tmp_path,), z_step_um=2.0, pixel_um=0.5, name="taken").result(patience_s)
+    lengths = ImageOptions(z_step_um=2.0, pixel_um=0.5)
+    path = session.import_images((tmp_path,), lengths, name="taken").result(patience_s)
     done = session.wait_until(surfaced, patience_s)
     assert done.dataset.path == path
     assert not done.simulated
     assert "imported" in done.dataset.calibration_problem
     assert np.nanmedian(session.mosaic().window().z_um) == pytest.approx(12.0, abs=0.5)
+    imported = [entry for entry in session.recorded_actions() if entry.action == "Images imported"]
+    assert "z step um: 2.0, pixel um: 0.5" in imported[-1].detail
 
-    with pytest.raises(WaferViewerError, match="pixel"):
-        session.import_images((tmp_path,), z_step_um=2.0, pixel_um=None, name="broken").result(patience_s)
     (tmp_path / "s5.tif").write_text("this is not an image")
     with pytest.raises(DatasetError, match=r"s5\.tif"):
-        session.import_images((tmp_path,), z_step_um=2.0, pixel_um=0.5, name="broken").result(patience_s)
+        session.import_images((tmp_path,), lengths, name="broken").result(patience_s)
+    (tmp_path / "s5.tif").unlink()
+    with pytest.raises(WaferViewerError, match="pixel"):
+        session.import_images((tmp_path,), ImageOptions(z_step_um=2.0), name="broken").result(patience_s)
     assert not list(session.snapshot.data_folder.glob("*broken*"))
     assert session.snapshot.dataset.path == path
 

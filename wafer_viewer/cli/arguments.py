@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.acquisition.image_source import ImageOptions
     from wafer_viewer.rigs.rig_config import RigConfig
 
 DATA_FOLDER = Path("~/wafer-viewer")
@@ -68,17 +68,57 @@ def with_flags(run: Callable[..., None], about: str, flags: Sequence[Flag]) -> C
     return run
 
 
+def _image_options(
+    z_step_um: Um = None,
+    pixel_um: Um = None,
+    na: Ratio = None,
+    wavelength_um: Um = None,
+    pattern: Text = None,
+    channel: Text = None,
+    time: Text = None,
+    position: Text = None,
+    only: Text = None,
+    as_listed: bool = False,
+    overrule: bool = False,
+) -> ImageOptions:
+    """Return the values and choices for images taken elsewhere.
+
+    Args:
+        z_step_um: Distance between frames, where SRC does not say it; negative when they were taken downward.
+        pixel_um: Size of a pixel on the sample, where SRC does not say it.
+        na: Numerical aperture of the objective, in air, where SRC does not say it: bounds the width of focus curves.
+        wavelength_um: Of the light, for --na; 0.55 um where it is not given.
+        pattern: How files are named, such as r{row}_c{col}_k{k}.tif; {e} where each z was taken in several exposures.
+        channel: Name of the channel to take, or its number from 0, where the files have several.
+        time: The time to take, where the files have several.
+        position: The position to take, where the files have several.
+        only: Files to take, by a pattern of their names such as 'img_*.png'.
+        as_listed: Take all files in the order given, without a look for gaps, copies and files that are no frames.
+        overrule: Take the given values where the files state others.
+    """
+    return ImageOptions(
+        z_step_um=z_step_um,
+        pixel_um=pixel_um,
+        numerical_aperture=na,
+        wavelength_um=wavelength_um,
+        pattern=pattern,
+        channel=channel,
+        time=time,
+        position=position,
+        only=only,
+        as_listed=as_listed,
+        overrule=overrule,
+    )
+
+
+Images = Annotated[ImageOptions, arg(name="", constructor=_image_options)]
+"""Flags of images taken elsewhere."""
+
+
 def require_sources(src: tuple[Path, ...]) -> None:
     """Raise DatasetError if no image is given."""
     if not src:
         raise DatasetError("There are no images: give a folder of images, a multi-page TIFF or image files.")
-
-
-def image_options(**given: Any) -> ImageOptions:
-    """Return the values and choices for images taken elsewhere, of the flags of a command."""
-    from wafer_viewer.model.acquisition.image_source import ImageOptions
-
-    return ImageOptions(**given)
 
 
 def levelling_from(words: tuple[str, ...]) -> Levelling:

@@ -16,7 +16,7 @@ from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 
 _NAMES = ", ".join(READY_RECIPES)
-_SAYS_NOTHING = re.compile(r"\s*\(default: (None|False|)\)")
+_SAYS_NOTHING = re.compile(r"\s*\(default:\s+(None|False|)\)")
 
 
 def recipe_file(argv: list[str]) -> tuple[Recipe | None, list[str]]:
@@ -66,7 +66,7 @@ def _plain_help(argv: Sequence[str]) -> Generator[None]:
 def unframed(text: str) -> str:
     """Return help text with plain headings instead of rules, and without empty defaults."""
     lines: list[str] = []
-    for line in (_SAYS_NOTHING.sub("", framed).rstrip() for framed in text.splitlines()):
+    for line in (framed.rstrip() for framed in _SAYS_NOTHING.sub("", text).splitlines()):
         if line and not line.strip(" -"):
             if lines[-1][:2].strip():  # a title stands one column in, an explanation two
                 lines[-1] = f"{lines[-1].strip()}:"

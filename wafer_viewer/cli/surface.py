@@ -12,15 +12,14 @@ from wafer_viewer.cli.arguments import (
     Count,
     DatasetFolder,
     File,
+    Images,
     NewFile,
     Out,
     Place,
-    Ratio,
     Source,
     Sources,
     Text,
     Um,
-    image_options,
     require_sources,
 )
 from wafer_viewer.cli.output import audit, print_json, print_surface, progress, warn
@@ -38,20 +37,11 @@ OF_THE_PAGE = ("stamp", "changed")
 def reconstruct(
     src: Sources,
     out: Out,
+    images: Images,
     recipe: Recipe = Recipe(),
-    z_step_um: Um = None,
-    pixel_um: Um = None,
     result: str = "default",
     scheduler: Text = None,
     workers: Count = None,
-    na: Ratio = None,
-    wavelength_um: Um = None,
-    channel: Text = None,
-    time: Text = None,
-    position: Text = None,
-    only: Text = None,
-    as_listed: bool = False,
-    overrule: bool = False,
 ) -> None:
     """Make a surface and write it to a file, whose ending picks the format; `convert --help` names them.
 
@@ -59,19 +49,9 @@ def reconstruct(
         src: A folder of images, a multi-page TIFF, image files, or one NAME.wafer, of which the mosaic is written.
         out: The file.
         recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
-        z_step_um: Distance between frames, where SRC does not say.
-        pixel_um: Size of a pixel on the sample, where SRC does not say.
         result: Name under which a NAME.wafer keeps its surfaces.
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as help by default.
-        na: Numerical aperture of the objective, in air, where SRC does not say: bounds the width of focus curves.
-        wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
-        channel: Name of the channel to take, or its number from 0, where the files have several.
-        time: The time to take, where the files have several.
-        position: The position to take, where the files have several.
-        only: Files to take, by a pattern of their names such as 'img_*.png'.
-        as_listed: Take all files in the order given, without a look for gaps, copies and files that are no frames.
-        overrule: Take the given values where the files state others.
     """
     from wafer_viewer.session.surface.headless import LocalOrCluster, surface_of
     from wafer_viewer.store.formats.conversion import require_format
@@ -79,20 +59,8 @@ def reconstruct(
     require_sources(src)
     require_format(out)
     hire = LocalOrCluster(scheduler, workers)
-    options = image_options(
-        z_step_um=z_step_um,
-        pixel_um=pixel_um,
-        numerical_aperture=na,
-        wavelength_um=wavelength_um,
-        channel=channel,
-        time=time,
-        position=position,
-        only=only,
-        as_listed=as_listed,
-        overrule=overrule,
-    )
     with progress("Reconstruction") as tell:
-        surface, info = surface_of(src, recipe, options, result, tell, warn, hire)
+        surface, info = surface_of(src, recipe, images, result, tell, warn, hire)
     _write(surface, out)
     print_surface(out, info)
 
@@ -131,11 +99,10 @@ def stitch(
 def why(
     src: Sources,
     at: Place,
+    images: Images,
     field: int = 0,
     result: str = "default",
     recipe: Recipe = Recipe(),
-    z_step_um: Um = None,
-    pixel_um: Um = None,
 ) -> None:
     """Explain a pixel's height or its absence: focus curve, the peak's rivals, every gate's verdict, as JSON. Stage um.
 
@@ -145,15 +112,12 @@ def why(
         field: The field of a NAME.wafer that is asked; 0 takes the one whose centre is nearest.
         result: Name of the reconstruction, whose settings are used.
         recipe: Other settings: --recipe RECIPE.toml gives all, --recipe.FIELD VALUE single ones.
-        z_step_um: Distance between frames, where SRC does not say.
-        pixel_um: Size of a pixel on the sample, where SRC does not say.
     """
     from wafer_viewer.session.surface.headless import evidence_of
 
     require_sources(src)
     with progress("Reading the frames") as tell:
-        options = image_options(z_step_um=z_step_um, pixel_um=pixel_um)
-        found = evidence_of(src, at, field, result, recipe, options, tell)
+        found = evidence_of(src, at, field, result, recipe, images, tell)
     print_json(msgspec.to_builtins(found))
 
 

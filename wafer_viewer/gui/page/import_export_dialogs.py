@@ -19,6 +19,7 @@ from wafer_viewer.gui.presenters.surface import surface_name
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.region import Region
@@ -167,15 +168,14 @@ def import_dialog(page: Page) -> None:
             says = Reading(z_unit=unit.value.strip() or None, pixel_um=pixel.value, invert_z=depths.value)
             open_surface(page, sources[0], says, called)
             return
-        done = page.session.import_images(
-            sources,
+        options = ImageOptions(
             z_step_um=step.value,
             pixel_um=pixel.value,
             pattern=pattern.value.strip() or None,
-            name=called,
             numerical_aperture=aperture.value,
             wavelength_um=light.value,
         )
+        done = page.session.import_images(sources, options, name=called)
         page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
 
     dialog.answers("Import", viser.Icon.PHOTO_PLUS, begin, "Import stopped")

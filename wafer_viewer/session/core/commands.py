@@ -15,6 +15,9 @@ from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
+import msgspec
+
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import ControlHeldError, RoleError, WaferViewerError
 from wafer_viewer.model.roles import Action
 from wafer_viewer.session.core.command_queue import CommandQueue
@@ -120,9 +123,11 @@ class CommandDeclaration:
 
 
 def _words_of(method: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> str:
-    """Return the arguments of a command that are names, numbers or files, as words."""
+    """Return the arguments of a command that are names, numbers, files, or chosen options of images, as words."""
     bound = inspect.signature(method).bind(None, *args, **kwargs)
     told = {name: value.name if isinstance(value, Path) else value for name, value in bound.arguments.items()}
+    if isinstance(options := told.pop("options", None), ImageOptions):
+        told |= msgspec.structs.asdict(options)
     words = (
         f"{name.replace('_', ' ')}: {value}"
         for name, value in told.items()

@@ -166,38 +166,15 @@ class FileJobs:
     def import_images(
         self,
         srcs: tuple[Path, ...],
+        options: ImageOptions = ImageOptions(),
         *,
-        z_step_um: float | None = None,
-        pixel_um: float | None = None,
-        pattern: str | None = None,
         name: str | None = None,
         overlap_fraction: float = 0.1,
-        numerical_aperture: float | None = None,
-        wavelength_um: float | None = None,
-        channel: str | None = None,
-        time: str | None = None,
-        position: str | None = None,
-        only: str | None = None,
-        as_listed: bool = False,
-        overrule: bool = False,
     ) -> Future[Path]:
         """Import images from another instrument into a dataset, open and reconstruct it.
 
-        The future is done when it is open. The values and choices are those of `import_dataset`.
+        The future is done when it is open. options: values and choices of the user.
         """
-        options = ImageOptions(
-            z_step_um=z_step_um,
-            pixel_um=pixel_um,
-            pattern=pattern,
-            numerical_aperture=numerical_aperture,
-            wavelength_um=wavelength_um,
-            channel=channel,
-            time=time,
-            position=position,
-            only=only,
-            as_listed=as_listed,
-            overrule=overrule,
-        )
         out = self._new_dataset(name, srcs[0].stem if srcs else "import")
         files = tuple(Path(src).absolute() for src in srcs)
         made = self._background.run(f"Import of {out.stem}", import_images, files, out, options, overlap_fraction)
