@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tests.support.datasets.samples import CALIBRATION, all_shots, make_frame, make_image, make_job, make_plan
 from tests.support.datasets.unsigned import without_manifests
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
-from wafer_viewer.model.acquisition.plan import Shot
+from wafer_viewer.model.acquisition.plan import UNKNOWN_EXPOSURE_US, Shot
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import tags_crc32c
@@ -167,9 +167,12 @@ def test_long_names_find_room(tmp_path, plan):
         tmp_path / WAFER, plan, job, setup=OpticalSetup(**names), rig="\U0001f52c" * 5000, imported_from="<" * 5000
     ) as writer:
         for shot in all_shots(plan):
-            writer.frame(replace(frame_of(shot, plan), x_um=-149_999.123456, y_um=-149_999.123456, z_um=-49_999.123456))
-    ome = ome_of(tmp_path / FIRST)
-    assert ome.images[0].pixels.planes[0].exposure_time is None, "images taken elsewhere have an unknown exposure"
+            far = {"x_um": -149_999.123456, "y_um": -149_999.123456, "z_um": -49_999.123456}
+            exposure_us = UNKNOWN_EXPOSURE_US if shot.k == 0 else 123_456.789
+            writer.frame(replace(frame_of(shot, plan), **far, exposure_us=exposure_us))
+    planes = ome_of(tmp_path / FIRST).images[0].pixels.planes
+    assert planes[0].exposure_time is None, "images taken elsewhere may have an unknown exposure"
+    assert planes[-1].exposure_time == pytest.approx(0.123457)
     assert Dataset.open(tmp_path / WAFER).check().ok
 
 

@@ -221,3 +221,39 @@ def test_order_that_the_images_contradict_is_refused_until_it_is_confirmed(tmp_p
     assert len(open_stack(tmp_path, **GIVEN, as_listed=True).images) == 20
     right = [tmp_path / f"f{(k + 12) % 20:02d}.tif" for k in range(20)]
     assert len(open_stack(right, **GIVEN).images) == 20
+
+
+ABOUT = """<?xml version="1.0" encoding="UTF-8"?>
+<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">
+<Instrument ID="Instrument:0"><Objective ID="Objective:0" Model="Plan 20x" LensNA="0.45"/></Instrument>
+<Image ID="Image:0"><AcquisitionDate>2024-05-06T07:08:09</AcquisitionDate><ObjectiveSettings ID="Objective:0"/>
+<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="16" SizeY="12" SizeZ="6" SizeC="1" SizeT="1"
+PhysicalSizeX="0.65" PhysicalSizeY="0.65" PhysicalSizeZ="2.5"><Channel ID="Channel:0:0" SamplesPerPixel="1"/>
+<TiffData IFD="0" PlaneCount="6"/>%s</Pixels></Image></OME>"""
+PLANE = '<Plane TheZ="%d" TheC="0" TheT="0" ExposureTime="%g" ExposureTimeUnit="ms" DeltaT="%g"/>'
+
+
+def timed(path, exposures_ms):
+    planes = "".join(PLANE % (k, ms, 0.5 * k) for k, ms in enumerate(exposures_ms))
+    tifffile.imwrite(path, images(), description=ABOUT % planes, metadata=None, photometric="minisblack")
+    return path
+
+
+def test_exposures_times_objective_and_date_are_stored(tmp_path):
+    path = timed(tmp_path / "a.ome.tif", [12] * N)
+    assert open_stack(path).exposure_us == 12_000
+    data = import_dataset(path, tmp_path / "a.wafer")
+    assert data.scan.setup.objective == "Plan 20x NA 0.45"
+    assert data.scan.imported_from == "a.ome.tif, taken 2024-05-06T07:08:09"
+    assert data.stack(1).exposure_us == 12_000
+    assert [line.device_time_us for line in data.journal_lines(data.field(1))] == [500_000 * k for k in range(N)]
+    again = import_dataset(tmp_path / "a.wafer" / "frames", tmp_path / "b.wafer")
+    assert again.scan.setup == data.scan.setup
+    assert again.scan.plan.exposures_us == (12_000,)
+    assert again.stack(1).depth_of_field_um == data.stack(1).depth_of_field_um > 0
+
+
+def test_unknown_exposures_stay_unknown_and_changing_ones_are_noted(tmp_path):
+    assert not import_dataset(ome(tmp_path / "a.ome.tif"), tmp_path / "a.wafer").scan.plan.exposures_are_known
+    notes = open_stack(timed(tmp_path / "b.ome.tif", [12] * 5 + [24])).notes
+    assert any("exposure time changes from 12000 to 24000 us" in note for note in notes)

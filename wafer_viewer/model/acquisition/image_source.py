@@ -52,7 +52,8 @@ class ImagePlane:
     path, page: file and page that hold it. read: returns it as grey [row, col], uint8 or uint16.
     position, channel, time: names of its place on these axes; empty where the file has no such axis.
     exposure: number of the exposure of its slot, where the channels of a file are exposures.
-    k: number along z; z_um, x_um, y_um: stated place of the stage; exposure_us: stated exposure time.
+    k: number along z; z_um, x_um, y_um: stated place of the stage; exposure_us: stated exposure time; time_us: when it
+    was taken, since the first frame of the file.
     simulated: True if the file says that it was not taken of a real sample.
     """
 
@@ -69,6 +70,7 @@ class ImagePlane:
     x_um: float | None = None
     y_um: float | None = None
     exposure_us: float | None = None
+    time_us: float | None = None
     simulated: bool = False
     says: Statements = Statements()
 

@@ -320,6 +320,16 @@ class Price(Spec, frozen=True, kw_only=True):
     estimated: bool = False
 
 
+IMPORT = "import"
+"""Strategy of a plan for images or surfaces taken elsewhere."""
+UNKNOWN_EXPOSURE_US = 1.0
+"""Placeholder exposure time in us for imported images without one.
+
+It is the same for all exposures of a bracket, so that their ratio carries no information: fusion then measures the
+brightness ratio and never uses an invented one.
+"""
+
+
 class ScanPlan(Spec, frozen=True, kw_only=True, omit_defaults=True):
     """Complete plan of a scan: fields, sweep, exposures, legs in order, predicted time and all prices.
 
@@ -342,6 +352,11 @@ class ScanPlan(Spec, frozen=True, kw_only=True, omit_defaults=True):
     def field(self, number: int) -> Field:
         """Return the field with a number."""
         return next(f for f in self.fields if f.number == number)
+
+    @property
+    def exposures_are_known(self) -> bool:
+        """False if the images were imported and do not state their exposure times."""
+        return self.strategy != IMPORT or UNKNOWN_EXPOSURE_US not in self.exposures_us
 
     @property
     def n_frames(self) -> int:

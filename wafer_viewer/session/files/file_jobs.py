@@ -13,7 +13,7 @@ from pathlib import Path
 
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.image_source import ImageOptions
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import IMPORT, MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -124,7 +124,7 @@ def _plan(surface: HeightMap, job: Job) -> ScanPlan:
         fields=(),
         sweep=job.sweep,
         exposures_us=job.exposures_us,
-        strategy="import",
+        strategy=IMPORT,
         legs=(),
         predicted_s=0.0,
         prices=(),

@@ -183,6 +183,7 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
         ("Product", sample.product or scan.job.product),
         ("Operator", sample.operator),
         ("Instrument", scan.rig or scan.imported_from),
+        ("Objective", scan.setup.objective if scan.imported_from else ""),
         ("Program", f"Wafer Viewer {scan.software_version}"),
         ("Verdict", verdict_text(material.verdict) if material.verdict else ""),
         ("Lengths", "calibrated" if material.uncalibrated is None else f"uncalibrated: {material.uncalibrated}"),

@@ -152,7 +152,7 @@ def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
     return (
         ("Fields", f"{len(plan.fields)}{grid}"),
         ("Frames per field", f"{plan.frames_each}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
-        ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs"),
+        ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs" if plan.exposures_are_known else "–"),
         ("Strategy", plan.strategy.replace("_", " ")),
         ("Predicted time", duration(plan.predicted_s)),
         ("Frames", f"{number(plan.n_frames, 0)}, {size(plan.bytes_on_disk)}"),

@@ -18,7 +18,7 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.calibration import OpticalSetup, engraved_aperture
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.acquisition.plan import UNKNOWN_EXPOSURE_US, Field
 from wafer_viewer.store.dataset.scan_record import FrameKept, ScanRecord
 from wafer_viewer.store.io.atomic_files import atomic_write, new_file
 
@@ -190,7 +190,7 @@ def _add_pixels(image: ElementTree.Element, record: ScanRecord, field: Field, li
         ),
     )
     for exposure, exposure_us in enumerate(plan.exposures_us):
-        named = {} if record.imported_from else {"Name": f"{exposure_us:g} {MICROSECOND}"}
+        named = {"Name": f"{exposure_us:g} {MICROSECOND}"} if plan.exposures_are_known else {}
         _add(pixels, "Channel", ID=f"Channel:0:{exposure}", SamplesPerPixel="1", **named)
     for line in lines:
         k, exposure = line.shot.k, line.shot.exposure
@@ -207,7 +207,7 @@ def _add_planes(pixels: ElementTree.Element, record: ScanRecord, lines: Sequence
         plane = _add(pixels, "Plane", TheZ=str(line.shot.k), TheT="0", TheC=str(line.shot.exposure))
         if timed:
             plane.set("DeltaT", _number((line.device_time_us - min(times_us)) / _US_PER_S))
-        if not record.imported_from:
+        if not record.imported_from or line.exposure_us != UNKNOWN_EXPOSURE_US:
             plane.set("ExposureTime", _number(line.exposure_us / _US_PER_S))
         plane.attrib |= _lengths(PositionX=line.x_um, PositionY=line.y_um, PositionZ=line.z_um)
 

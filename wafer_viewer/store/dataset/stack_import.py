@@ -16,10 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM, depth_of_field_um
+from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Frame, FrameStatus, Image
 from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import (
+    IMPORT,
+    MIN_FRAMES,
+    UNKNOWN_EXPOSURE_US,
+    Field,
+    FieldGrid,
+    FocusSweep,
+    ScanPlan,
+    Shot,
+)
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
@@ -31,12 +40,6 @@ from wafer_viewer.store.images.stack_source import SourceField, StackSource, ord
 from wafer_viewer.store.io.atomic_files import atomic_write, require_space
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
-UNKNOWN_EXPOSURE_US = 1.0
-"""Placeholder exposure time in us for images without one.
-
-It is the same for all exposures of a bracket, so that their ratio carries no information: fusion then measures the
-brightness ratio and never uses an invented one.
-"""
 MAX_OVERLAP = 0.5
 MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
 
@@ -159,6 +162,7 @@ def stack_of(
         checksum=hashlib.sha256(b"".join(b"%08x" % zlib.crc32(image.data) for image in images)).hexdigest(),
         source=_source_name(src),
         simulated=source.simulated,
+        exposure_us=next(iter(source.exposures_us), np.nan),
         depth_of_field_um=_depth_um(source.numerical_aperture, options.wavelength_um, source.pixel_um.value),
         notes=source.notes,
     )
@@ -312,12 +316,19 @@ def dataset_of(
     pixel_um = source.pixel_um.value
     plan = _plan(job, first, pixel_um, _depth_um(source.numerical_aperture, wavelength_um, pixel_um))
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
-    with atomic_write(target) as temporary:
-        bits, name = 8 * first.dtype.itemsize, _source_name(srcs)
-        with DatasetWriter.create(
-            temporary, plan, job, simulated=source.simulated, imported_from=name, bits=bits
-        ) as writer:
-            _copy(source.fields, writer, progress, should_stop)
+    with (
+        atomic_write(target) as temporary,
+        DatasetWriter.create(
+            temporary,
+            plan,
+            job,
+            simulated=source.simulated,
+            imported_from=_source_name(srcs) + (f", taken {source.taken}" if source.taken else ""),
+            setup=OpticalSetup(objective=source.objective),
+            bits=8 * first.dtype.itemsize,
+        ) as writer,
+    ):
+        _copy(source.fields, writer, progress, should_stop)
     forget_marks(target)
     sign_scan(target)
     return Dataset.open(target)
@@ -396,8 +407,8 @@ def _frame(shot: Shot, field: Field, z_um: float, plane: ImagePlane, image: Imag
         x_um=field.x_um,
         y_um=field.y_um,
         z_um=z_um,
-        exposure_us=UNKNOWN_EXPOSURE_US,
-        device_time_us=0,
+        exposure_us=plane.exposure_us or UNKNOWN_EXPOSURE_US,
+        device_time_us=round(plane.time_us or 0),
         status=FrameStatus.OK,
         image=image,
     )
@@ -417,7 +428,7 @@ def _job(source: StackSource, first: Image, overlap_fraction: float) -> Job:
     return Job(
         fields=tuple(_placed(source.fields, grid)),
         sweep=FocusSweep(z_step_um=source.z_step_um.value, n_frames=len(slots)),
-        exposures_us=(UNKNOWN_EXPOSURE_US,) * len(slots[0]),
+        exposures_us=source.exposures_us or (UNKNOWN_EXPOSURE_US,) * len(slots[0]),
     )
 
 
@@ -455,7 +466,7 @@ def _plan(job: Job, first: Image, pixel_um: float, depth_um: float) -> ScanPlan:
         fields=job.fields,
         sweep=job.sweep,
         exposures_us=job.exposures_us,
-        strategy="import",
+        strategy=IMPORT,
         legs=(),
         predicted_s=0.0,
         prices=(),

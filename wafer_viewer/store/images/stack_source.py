@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.calibration import engraved_aperture
 from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated, Statements
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.numerics.frame_sequence import contradicting_order
@@ -52,13 +53,18 @@ class SourceField:
 class StackSource:
     """Images as they are taken: fields, agreed lengths, and what is worth telling.
 
-    z_step_um: over 0. order_is_stated: False where only names or the user give the order. notes: one sentence each.
+    z_step_um: over 0. exposures_us: of each exposure of the slots, empty if unknown. objective: its name with its
+    aperture; taken: date and time; both empty if unknown. order_is_stated: False where only names or the user give the
+    order. notes: one sentence each.
     """
 
     fields: tuple[SourceField, ...]
     pixel_um: Stated[float]
     z_step_um: Stated[float]
     numerical_aperture: Stated[float] | None
+    exposures_us: tuple[float, ...]
+    objective: str
+    taken: str
     simulated: bool
     order_is_stated: bool
     notes: tuple[str, ...]
@@ -106,14 +112,18 @@ def read_source(src: Paths, options: ImageOptions) -> StackSource:
         chosen, notes = _chosen(planes, options)
         fields, step, more = _fields(chosen, order, says, options)
     pixel = _pixel_um(says, options)
+    exposures_us, of_exposures = _exposures_us(fields)
     return StackSource(
         fields=fields,
         pixel_um=pixel,
         z_step_um=step,
         numerical_aperture=aperture,
+        exposures_us=exposures_us,
+        objective=_objective(says, aperture),
+        taken="" if says.taken is None else says.taken.value,
         simulated=any(plane.simulated for plane in planes),
         order_is_stated=options.as_listed or order_is_stated,
-        notes=(*order.notes, *says.notes, *notes, *more, *_sources(pixel, step)),
+        notes=(*order.notes, *says.notes, *notes, *more, *of_exposures, *_sources(pixel, step)),
     )
 
 
@@ -242,6 +252,33 @@ def _pixel_um(says: Statements, options: ImageOptions) -> Stated[float]:
     if not 0 < agreed.value < np.inf:
         raise DatasetError(f"The pixel size is {agreed.value:g} um: it must be over 0.")
     return agreed
+
+
+def _objective(says: Statements, aperture: Stated[float] | None) -> str:
+    """Return the name of the objective with its aperture, as far as they are known."""
+    name = "" if says.objective is None else says.objective.value
+    if aperture is None or engraved_aperture(name) is not None:
+        return name
+    return f"{name} NA {round(aperture.value, 4)}".strip()
+
+
+def _exposures_us(fields: Iterable[SourceField]) -> tuple[tuple[float, ...], list[str]]:
+    """Return the stated time of each exposure of the slots, empty unless all frames state theirs, and a note."""
+    by_exposure: dict[int, list[float | None]] = defaultdict(list)
+    for field in fields:
+        for slot in field.slots:
+            for exposure, plane in enumerate(slot):
+                if plane is not None:
+                    by_exposure[exposure].append(plane.exposure_us)
+    stated = [[us for us in by_exposure[n] if us] for n in sorted(by_exposure)]
+    if any(len(known) < len(by_exposure[n]) for n, known in enumerate(stated)):
+        return (), []
+    notes = [
+        f"The exposure time changes from {min(known):g} to {max(known):g} us between frames: fix it for a whole stack."
+        for known in stated
+        if max(known) > (1 + _SAME_STEP) * min(known)
+    ]
+    return tuple(float(np.median(known)) for known in stated), notes
 
 
 def _sources(pixel: Stated[float], step: Stated[float]) -> Iterator[str]:

@@ -70,7 +70,7 @@ class _Series:
     position: str = ""
     channels: Sequence[str] = ()
     planes: Mapping[tuple[int, int, int], Mapping[str, float]] | None = None
-    """z_um, x_um, y_um and exposure_us by (k, channel, time), as far as stated."""
+    """z_um, x_um, y_um, exposure_us and time_us by (k, channel, time), as far as stated."""
     exposures: bool = False
     """True if the channels are exposures of the same slots."""
 
@@ -247,6 +247,7 @@ def _plane(
         x_um=own.get("x_um"),
         y_um=own.get("y_um"),
         exposure_us=own.get("exposure_us"),
+        time_us=own.get("time_us"),
         says=words.says,
     )
 
@@ -342,10 +343,10 @@ def _ome_planes(
     common = {} if label is None else _ome_place(label, "{}", "z_um")
     for plane in pixels.iterfind("{*}Plane"):
         own = common | _ome_place(plane, "Position{}")
-        unit = _TIMES_US.get(plane.get("ExposureTimeUnit", "s"))
-        exposure = _number(plane.get("ExposureTime"))
-        if unit is not None and exposure is not None:
-            own["exposure_us"] = exposure * unit
+        for name, attribute in (("exposure_us", "ExposureTime"), ("time_us", "DeltaT")):
+            unit, value = _TIMES_US.get(plane.get(f"{attribute}Unit", "s")), _number(plane.get(attribute))
+            if unit is not None and value is not None:
+                own[name] = value * unit
         yield (int(plane.get("TheZ", 0)), int(plane.get("TheC", 0)), int(plane.get("TheT", 0))), own
 
 
@@ -440,7 +441,7 @@ def _of_micro_manager(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
             pixel_um=_stated(pixel or None, "Micro-Manager PixelSizeUm"),
             z_step_um=_stated(step or None, "Micro-Manager z-step_um"),
         )
-        exposure_ms = _number(_first(own, "Exposure-ms", default=None))
+        exposure_ms, elapsed_ms = (_number(own.get(name)) for name in ("Exposure-ms", "ElapsedTime-ms"))
         name = path.name if len(words) == 1 else f"{path.name}, page {page + 1}"
         yield ImagePlane(
             name=name,
@@ -455,6 +456,7 @@ def _of_micro_manager(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
             x_um=_number(_first(own, "XPositionUm", default=None)),
             y_um=_number(_first(own, "YPositionUm", default=None)),
             exposure_us=None if exposure_ms is None else 1e3 * exposure_ms,
+            time_us=None if elapsed_ms is None else 1e3 * elapsed_ms,
             says=says,
         )
 
