@@ -220,9 +220,8 @@ def test_an_import_without_lengths_takes_those_of_the_files(serve: Serve, tmp_pa
     type_into(page, "Path", str(tmp_path))
     press(page, "Import")
     eventually(lambda: "import_images" in verbs(session), "the session is asked, which reads the files")
-    given = next(kwargs for name, _, kwargs in session.asked if name == "import_images")
-    assert given["z_step_um"] is None
-    assert given["pixel_um"] is None
+    _, given = next(args for name, args, _ in session.asked if name == "import_images")
+    assert (given.z_step_um, given.pixel_um) == (None, None)
 
 
 def test_what_went_wrong_stands_until_it_is_dealt_with(serve: Serve, tmp_path):
