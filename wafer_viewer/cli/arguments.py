@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from wafer_viewer.model.acquisition.image_source import ImageOptions
+from wafer_viewer.model.acquisition.image_source import Corner, GridOrder, ImageOptions, Mirror
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
@@ -80,6 +80,11 @@ def _image_options(
     only: Text = None,
     as_listed: bool = False,
     overrule: bool = False,
+    columns: Count = None,
+    order: GridOrder = "rows",
+    corner: Corner = "top-left",
+    mirror: Mirror = "none",
+    places: File = None,
 ) -> ImageOptions:
     """Return the values and choices for images taken elsewhere.
 
@@ -95,6 +100,11 @@ def _image_options(
         only: Files to take, by a pattern of their names such as 'img_*.png'.
         as_listed: Take all files in the order given, without a look for gaps, copies and files that are no frames.
         overrule: Take the given values where the files state others.
+        columns: Columns of a grid whose fields have running numbers, {n} in the pattern.
+        order: How they are numbered; in a snake every second row or column runs back.
+        corner: Where they begin.
+        mirror: Axes whose direction is reversed, where a grid comes out mirrored.
+        places: Table of places: TileConfiguration.txt, MIST, Micro-Manager .pos, or CSV with a header.
     """
     return ImageOptions(
         z_step_um=z_step_um,
@@ -108,6 +118,11 @@ def _image_options(
         only=only,
         as_listed=as_listed,
         overrule=overrule,
+        columns=columns,
+        order=order,
+        corner=corner,
+        mirror=mirror,
+        places=places,
     )
 
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar, Generic, NoReturn, TypeVar
+from typing import Annotated, ClassVar, Generic, Literal, NoReturn, TypeVar
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.spec import Spec, Within
 
 T = TypeVar("T")
+GridOrder = Literal["rows", "columns", "snake-rows", "snake-columns"]
+Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
+Mirror = Literal["none", "x", "y", "both"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,8 @@ class ImageOptions(Spec, frozen=True, kw_only=True):
     channel, time, position: name or number, from 0, of the one to take; all positions become fields by default.
     only: pattern of the file names to take, such as ``*.tif``; as_listed: take all files in the order given, or in that
     of their numbers, without a look for gaps, copies and strangers; overrule: take given values where files differ.
+    columns, order, corner: of a grid whose fields have running numbers: how many columns, in which order from which
+    corner; mirror: axes whose direction is reversed; places: table of the places of the fields.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -98,6 +103,11 @@ class ImageOptions(Spec, frozen=True, kw_only=True):
     only: str | None = None
     as_listed: bool = False
     overrule: bool = False
+    columns: Annotated[int, Within(1, 100_000)] | None = None
+    order: GridOrder = "rows"
+    corner: Corner = "top-left"
+    mirror: Mirror = "none"
+    places: Path | None = None
 
     def refuse(self, name: str, limit: str) -> NoReturn:
         """Raise DatasetError with the value in its unit."""

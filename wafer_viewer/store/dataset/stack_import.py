@@ -18,7 +18,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Frame, FrameStatus, Image
-from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated
+from wafer_viewer.model.acquisition.image_source import Corner, GridOrder, ImageOptions, ImagePlane, Mirror, Stated
 from wafer_viewer.model.acquisition.plan import (
     IMPORT,
     MIN_FRAMES,
@@ -216,6 +216,11 @@ def import_dataset(
     only: str | None = None,
     as_listed: bool = False,
     overrule: bool = False,
+    columns: int | None = None,
+    order: GridOrder = "rows",
+    corner: Corner = "top-left",
+    mirror: Mirror = "none",
+    places: str | Path | None = None,
 ) -> Dataset:
     """Copy images into a new dataset of one or more fields.
 
@@ -237,8 +242,8 @@ def import_dataset(
         ``r{row}_c{col}_k{k}.tif``: the images form a grid of fields, row 0 at the top. Without ``{k}`` the frames are
         the pages of each file. ``{e}`` separates the exposures of a bracket; their times are not needed. A pattern
         with a slash is matched to the path relative to the given folder, otherwise to the file name. ``{z}`` instead of
-        ``{k}`` is the z of a frame in um, ``{n}`` instead of row and column a running number of the fields, from left
-        to right. Default: all images form one field, or one for each position that the files state.
+        ``{k}`` is the z of a frame in um, ``{n}`` instead of row and column a running number of the fields. Default:
+        all images form one field, or one for each position that the files state.
     overlap_fraction : float, default 0.1
         Overlap of neighbouring fields as a fraction of a field, in x and y, from 0 to 0.5.
     progress : callable, optional
@@ -251,6 +256,18 @@ def import_dataset(
         Wavelength of the light in um, from 0.2 to 2. Default: 0.55 um.
     channel, time, position, only, as_listed, overrule
         See `open_stack`; all positions become fields where none is chosen.
+    columns : int, optional
+        Columns of a grid whose fields have running numbers. Default: one row.
+    order : {"rows", "columns", "snake-rows", "snake-columns"}, default "rows"
+        Along which lines the running numbers go; in a snake every second line runs back.
+    corner : {"top-left", "top-right", "bottom-left", "bottom-right"}, default "top-left"
+        Where they begin.
+    mirror : {"none", "x", "y", "both"}, default "none"
+        Axes whose direction is reversed, where a grid comes out mirrored.
+    places : str or Path, optional
+        Table of the places of the fields: TileConfiguration of Fiji, global positions of MIST, position list of
+        Micro-Manager, or CSV whose header names ``file``, ``n``, or ``row`` and ``col``, and ``x_um``, ``y_um`` (stage,
+        y up) or ``x_px``, ``y_px`` (mosaic, y down).
 
     Returns
     -------
@@ -282,6 +299,11 @@ def import_dataset(
         only=only,
         as_listed=as_listed,
         overrule=overrule,
+        columns=columns,
+        order=order,
+        corner=corner,
+        mirror=mirror,
+        places=None if places is None else Path(places),
     )
     return dataset_of(srcs, Path(out), options, overlap_fraction, progress, should_stop)
 

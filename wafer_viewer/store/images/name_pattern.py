@@ -60,14 +60,15 @@ def compile_pattern(pattern: str) -> re.Pattern[str]:
     """Return the pattern as a regular expression with a named group for each part.
 
     The parts are row and col, or n for a running number, k or z for the frame, and e for the exposure; a single field
-    with ``{z}`` or several exposures needs none for the field.
+    with ``{z}`` or several exposures needs none for the field. A width, as in ``{row:2}``, is ignored, and
+    ``{series}`` is n.
 
     Raises
     ------
     DatasetError
         If the pattern does not identify the field of a file, or has unknown or repeated parts.
     """
-    parts = re.split(r"\{(\w+)\}", pattern)
+    parts = re.split(r"\{(\w+)(?::\w*)?\}", pattern.replace("{series", "{n"))
     names = parts[1::2]
     of_field = {"row", "col", "n"} & set(names)
     distinguishable = of_field in ({"row", "col"}, {"n"}) or (not of_field and {"e", "z"} & set(names))

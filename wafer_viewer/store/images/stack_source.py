@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
+import re
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.calibration import engraved_aperture
-from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated, Statements
+from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Mirror, Stated, Statements
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.numerics.frame_sequence import contradicting_order
 from wafer_viewer.store.images.frame_names import FrameOrder, frame_order
 from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, image_files, planes_of
 from wafer_viewer.store.images.name_pattern import Cell, NamedPlane, planes_by_pattern
+from wafer_viewer.store.images.tile_places import matched, numbered_cells, places_of
 
 Slot = tuple[ImagePlane | None, ...]
 """Planes at one z: one an exposure, None where it is missing."""
@@ -112,6 +114,7 @@ def read_source(src: Paths, options: ImageOptions) -> StackSource:
         chosen, notes = _chosen(planes, options)
         fields, step, more = _fields(chosen, order, says, options)
     pixel = _pixel_um(says, options)
+    fields = _in_their_places(fields, pixel.value, options)
     exposures_us, of_exposures = _exposures_us(fields)
     return StackSource(
         fields=fields,
@@ -152,7 +155,7 @@ def _planes_in_order(src: Paths, options: ImageOptions) -> tuple[FrameOrder, lis
         ordered = sorted(alone, key=lambda plane: plane.z_um or 0.0)
         return FrameOrder(tuple(plane.path for plane in ordered)), [replace(p, k=n) for n, p in enumerate(ordered)]
     if len(files) > 1 and all(len(planes) > 1 for planes in by_file.values()):
-        return FrameOrder(tuple(files)), _stacks(by_file)
+        return FrameOrder(tuple(files)), _stacks(by_file, options)
     order = FrameOrder(tuple(files))
     if len(files) > 1 and not options.as_listed:
         order = frame_order(files, listed=listed)
@@ -167,15 +170,16 @@ def _planes_in_order(src: Paths, options: ImageOptions) -> tuple[FrameOrder, lis
     return order, list(found.values())
 
 
-def _stacks(by_file: Mapping[Path, Sequence[ImagePlane]]) -> list[ImagePlane]:
+def _stacks(by_file: Mapping[Path, Sequence[ImagePlane]], options: ImageOptions) -> list[ImagePlane]:
     """Return the planes of files that hold a stack each. Raises DatasetError when they do not say where they lie."""
     found: dict[tuple[Path, int], ImagePlane] = {}
     for path, planes in by_file.items():
         for plane in planes:
-            if plane.x_um is None or plane.y_um is None:
+            if options.places is None and (plane.x_um is None or plane.y_um is None):
                 raise DatasetError(
                     f"There are {len(by_file)} files of several pages each, such as {path.name}, and they do not say "
-                    "where they lie: say it with --pattern, as in 'r{row}_c{col}.tif', or give one of them."
+                    "where they lie: say it with --pattern, as in 'r{row}_c{col}.tif', or with --places, or give one "
+                    "of them."
                 )
             position = plane.position or path.stem
             found.setdefault((plane.path, plane.page), replace(plane, position=position))
@@ -415,6 +419,44 @@ def _fields_by_cell(
             )
         )
     return tuple(fields), replace(step, value=abs(step.value)), notes
+
+
+def _in_their_places(
+    fields: tuple[SourceField, ...], pixel_um: float, options: ImageOptions
+) -> tuple[SourceField, ...]:
+    """Return the fields where running numbers or a table put them, with the axes that the user has mirrored."""
+    if options.pattern is not None and re.search(r"\{(n|series)\b", options.pattern):
+        cells = numbered_cells([field.cell[1] for field in fields if field.cell is not None], options)
+        numbers = [field.cell[1] if field.cell else 0 for field in fields]
+        fields = tuple(
+            replace(field, cell=cells[n], name=f"field {n}") for field, n in zip(fields, numbers, strict=True)
+        )
+    else:
+        numbers = [None] * len(fields)
+    if options.places is not None:
+        names = [_names_in_table(field, number) for field, number in zip(fields, numbers, strict=True)]
+        found = [place.um(pixel_um) for place in matched(places_of(options.places), names, options.places.name)]
+        fields = tuple(replace(field, x_um=x, y_um=y) for field, (x, y) in zip(fields, found, strict=True))
+    return tuple(_mirrored(field, options.mirror) for field in fields)
+
+
+def _names_in_table(field: SourceField, number: int | None) -> list[str]:
+    """Return the names by which a table may call a field: its files, their stems, position, cell and number."""
+    paths = dict.fromkeys(plane.path for slot in field.slots for plane in slot if plane is not None)
+    names = [name for path in paths for name in (path.name, path.stem, path.name.split(".")[0])]
+    if number is not None:
+        return [str(number), *names]
+    return [*names, field.name, *([] if field.cell is None else [f"{field.cell[0]},{field.cell[1]}"])]
+
+
+def _mirrored(field: SourceField, mirror: Mirror) -> SourceField:
+    along_x, along_y = (-1 if mirror in (axis, "both") else 1 for axis in "xy")
+    return replace(
+        field,
+        x_um=None if field.x_um is None else along_x * field.x_um,
+        y_um=None if field.y_um is None else along_y * field.y_um,
+        cell=None if field.cell is None else (along_y * field.cell[0], along_x * field.cell[1]),
+    )
 
 
 def _field(name: str, planes: list[ImagePlane], step_um: float, down: bool, lowest_um: float) -> SourceField:
