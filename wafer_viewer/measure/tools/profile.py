@@ -238,14 +238,14 @@ def slab_profile(
 
     Parameters
     ----------
-    surface
+    surface : Mosaic
         Any surface; only a band along the line is read.
-    line
+    line : Region
         Middle of the slab; its width_um is the width of the slab, and 0 is one pixel.
-    calibration_valid
+    calibration_valid : bool, default True
         Whether a calibration holds for the surface.
-    layer
-        Heights to take, as the recipe of the surface says when left out.
+    layer : Layer, optional
+        Heights to take. Default: as the recipe of the surface says.
 
     Returns
     -------
@@ -282,11 +282,11 @@ def running_median(distance_um: Floats, z_um: Floats, length_um: float, n: int) 
 
     Parameters
     ----------
-    distance_um, z_um
+    distance_um, z_um : ndarray [point]
         Points in um, in any order; none is NaN.
-    length_um
+    length_um : float
         Length of the line; the places run from 0 to it.
-    n
+    n : int
         Number of places.
 
     Returns

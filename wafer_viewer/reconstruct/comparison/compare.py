@@ -175,7 +175,10 @@ def subtracted(resampled: ResampledMosaic, region: Region | None) -> HeightMap:
 def noise_of(resampled: ResampledMosaic, region: Region) -> tuple[float, float]:
     """Return (median, limit of unchanged heights) of the differences, from samples over a region, in um.
 
-    Raises MeasureError when no sampled pixel is measured in both.
+    Raises
+    ------
+    MeasureError
+        When no sampled pixel is measured in both.
     """
     found = [off for block in _noise_blocks(resampled, region) if (off := _differences(resampled, block)).size]
     if not found:

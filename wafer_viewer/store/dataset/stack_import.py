@@ -254,8 +254,10 @@ def import_dataset(
         Numerical aperture of the objective in air, between 0 and 1; see `open_stack`.
     wavelength_um : float, optional
         Wavelength of the light in um, from 0.2 to 2. Default: 0.55 um.
-    channel, time, position, only, as_listed, overrule
+    channel, time, position, only : str, optional
         See `open_stack`; all positions become fields where none is chosen.
+    as_listed, overrule : bool, default False
+        See `open_stack`.
     columns : int, optional
         Columns of a grid whose fields have running numbers. Default: one row.
     order : {"rows", "columns", "snake-rows", "snake-columns"}, default "rows"
