@@ -92,6 +92,8 @@ from .session.acquisition.headless import go_to_focus as go_to_focus
 from .session.calibration.frames import CalibrationSite as CalibrationSite
 from .session.calibration.headless import accept_calibration as accept_calibration
 from .session.calibration.headless import run_calibration as run_calibration
+from .session.files.batch import BatchReport as BatchReport
+from .session.files.batch import run_batch as run_batch
 from .session.gauge.repeat_scans import studies_of as studies_of
 from .session.reporting.conformance_report import verify_conformance as verify_conformance
 from .session.reporting.conformance_report import write_conformance as write_conformance

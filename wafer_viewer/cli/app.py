@@ -30,6 +30,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "scan": CommandEntry("acquisition", "scan without the browser, or continue an unfinished scan"),
     "inspect": CommandEntry("imports", "what files hold that may be imported, and what is doubtful"),
     "import": CommandEntry("imports", "make a dataset of images taken elsewhere, or of a surface file", "import_"),
+    "batch": CommandEntry("imports", "one command on many files, with a table; goes on where it ended"),
     "reconstruct": CommandEntry("surface", "make a surface of a focus stack or a dataset, as a file"),
     "release": CommandEntry("acquisition", "make a plan a job that operators run with four actions"),
     "stitch": CommandEntry("surface", "make the stitched surface of a dataset"),
@@ -154,12 +155,21 @@ def _call(name: str, rest: list[str]) -> int | None:
     from wafer_viewer.cli.parser import for_people, recipe_file
 
     function = _function(name)
+    if name == "batch":
+        rest, words = _split_at_dashes(rest)
+        function = functools.partial(function, words=words, run=run)
     recipe, rest = (None, rest) if name in OWN_RECIPE else recipe_file(rest)
     if recipe is not None:
         function = functools.partial(function, recipe=recipe)
     prog = f"{PROGRAM} {name}"
     with for_people(rest, prog):
         return tyro.cli(function, prog=prog, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def _split_at_dashes(rest: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Return the arguments before and after ``--``."""
+    at = rest.index("--") if "--" in rest else len(rest)
+    return rest[:at], tuple(rest[at + 1 :])
 
 
 def _function(name: str) -> Callable[..., int | None]:

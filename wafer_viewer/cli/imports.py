@@ -1,9 +1,19 @@
-"""Commands that look at files of other programs and import them."""
+"""Commands that look at files of other programs, import them, and do one thing on many of them."""
 
 from __future__ import annotations
 
-from wafer_viewer.cli.arguments import Images, Out, Sources, Text, require_sources
+import contextlib
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from tyro.conf import Suppress
+
+from wafer_viewer.cli.arguments import File, Images, Out, Sources, Text, Word, require_sources
 from wafer_viewer.cli.output import audit, print_contents, print_json, progress, warn
+from wafer_viewer.model.errors import DatasetError
 
 
 def inspect(
@@ -71,3 +81,86 @@ def import_(
     exposures = f" in {dataset.n_exposures} exposures" if dataset.n_exposures > 1 else ""
     print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames{exposures}")
     audit(out.absolute().parent, "Images imported", out.name, f"paths: {', '.join(path.name for path in src)}")
+
+
+OUTPUTS: dict[str, tuple[str, ...]] = {"import": ("-o",), "reconstruct": ("-o",), "convert": ()}
+"""Commands of a batch that write a file for each source, with the words before its name."""
+
+
+def batch(
+    command: Word,
+    src: Sources,
+    to: File = None,
+    ending: str = "",
+    table: File = None,
+    again: bool = False,
+    words: Annotated[tuple[str, ...], Suppress] = (),
+    run: Annotated[Callable[[list[str]], int | None] | None, Suppress] = None,
+) -> int:
+    """Run a command on many files, one after the other; what stands after `--` goes to the command.
+
+    A file that fails is told and the next one follows; status 1 at the end. With --table each file has a line, with the
+    numbers that a measurement gives; run again, the batch goes on where it ended, and files that are done and unchanged
+    are left. Ctrl-C ends it after the line of the present file.
+
+        wafer-viewer batch reconstruct 'stacks/*' --to surfaces --ending .x3p --table all.csv -- --z-step-um 2
+        wafer-viewer batch 'measure texture' 'surfaces/*.x3p' --table texture.csv -- --region 0 0 500 500
+
+    Args:
+        command: import, reconstruct, convert, inspect, stitch, report, or a measurement such as 'measure texture'.
+        src: Files, folders, or patterns such as 'data/*.tif'.
+        to: Folder of the files that are written.
+        ending: Ending of their names, which picks the format; .wafer for import.
+        table: CSV file with a line for each source.
+        again: Also do what the table has as done.
+    """
+    from wafer_viewer.session.files.batch import expanded, output_names, run_batch
+
+    paths = expanded(src)
+    outs = _outputs(command, paths, to, ending or (".wafer" if command == "import" else ""), output_names)
+    assert run is not None
+
+    def work(path: Path) -> Mapping[str, Any]:
+        out = outs.get(path)
+        given = [*command.split(), str(path), *([] if out is None else [*OUTPUTS[command], str(out)]), *words]
+        return _run_captured(run, given, out)
+
+    def told(row: Mapping[str, Any]) -> None:
+        end = f"done in {row['seconds']} s" if row["status"] == "done" else row["message"]
+        print(f"{row['source']}: {end}", flush=True)
+
+    name = " ".join([command, *words, *([] if to is None else [str(to), ending])])
+    with progress("Batch") as tell:
+        report = run_batch(paths, work, table, name=name, again=again, progress=tell, told=told)
+    kept = f", {report.kept} were done before" if report.kept else ""
+    print(f"{report.done} done, {report.failed} failed{kept}" + ("" if table is None else f": {table}"))
+    return 1 if report.failed else 0
+
+
+def _outputs(
+    command: str, paths: list[Path], to: Path | None, ending: str, named: Callable[..., dict[Path, Path]]
+) -> dict[Path, Path]:
+    if command not in OUTPUTS:
+        return {}
+    if to is None or not ending.startswith("."):
+        raise DatasetError(f"{command} writes a file for each source: say where, as in --to FOLDER --ending .x3p.")
+    to.mkdir(parents=True, exist_ok=True)
+    return named(paths, to, ending)
+
+
+def _run_captured(run: Callable[[list[str]], int | None], argv: list[str], out: Path | None) -> Mapping[str, Any]:
+    """Run a command and return the JSON that it prints, or its output. Raises DatasetError when it fails."""
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed):
+            status = run(argv) or 0
+    except SystemExit as end:
+        raise DatasetError(f"{' '.join(argv[:2])} refused its flags: see wafer-viewer {argv[0]} --help.") from end
+    text = printed.getvalue()
+    if status:
+        raise DatasetError(" ".join(text.split())[:300] or f"{argv[0]} ended with status {status}.")
+    try:
+        found = msgspec.json.decode(text)
+    except msgspec.DecodeError:
+        found = {}
+    return ({} if out is None else {"output": str(out)}) | (found if isinstance(found, dict) else {})
