@@ -38,6 +38,7 @@ def measure_defects(
     golden: File = None,
     save_golden: Annotated[Path | None, arg(metavar="FOLDER/NAME")] = None,
     klarf: File = None,
+    klarf_version: Literal["1.2", "1.8"] = "1.2",
     csv: File = None,
     training: Annotated[Path | None, arg(metavar="FOLDER")] = None,
     other: File = None,
@@ -65,7 +66,8 @@ def measure_defects(
         against: Compare dies with each other, or the surface with its fitted form.
         golden: A NAME.golden.npz to compare with instead; shows what repeats in every die. The recipe's by default.
         save_golden: Keep the typical die of this wafer as the next version of NAME.
-        klarf: Write a KLARF 1.2 file.
+        klarf: Write a KLARF file.
+        klarf_version: Its version; lengths are in um in 1.2 and in nm in 1.8.
         csv: Write a table.
         training: Write a folder of cut-outs with the classes given by the rules and by people.
         other: A KLARF of another tool: reports what both found and what only one of them found.
@@ -91,7 +93,8 @@ def measure_defects(
     stored = _golden(golden, against, used_recipe, src)
     with progress("Looking for defects") as tell:
         inspection = inspected(wafer, used_recipe, given, stored, against, tell, hire)
-    files = _files(wafer, inspection, {"klarf": klarf, "csv": csv, "training": training})
+    kind: Handover = "klarf18" if klarf_version == "1.8" else "klarf"
+    files = _files(wafer, inspection, {kind: klarf, "csv": csv, "training": training})
     files |= _keep_golden(wafer, inspection, given, save_golden)
     verdict = verdict_of(inspection)
     summary = {"verdict": verdict, "files": files, "repeats": repeated_places(inspection), "inspection": inspection}

@@ -1,7 +1,8 @@
-"""KLARF 1.2: what is written is read back, and what is damaged or in another unit is refused in one sentence."""
+"""KLARF 1.2 and 1.8: what is written is read back, and what is damaged or in another unit is refused."""
 
 from __future__ import annotations
 
+import random
 import re
 from collections.abc import Callable
 from datetime import datetime
@@ -10,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.support.datasets.inspections import GRID, defect, inspection
+from tests.support.random_klarf import random_klarf
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS
+from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS, Klarf
+from wafer_viewer.model.spec import replace
 from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
 
 SAMPLE = Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0)
@@ -99,10 +102,18 @@ def _replaced(old: str, new: str) -> Callable[[str], str]:
     [
         (lambda text: text[: len(text) // 2], "is cut off, it has no EndOfFile"),
         (lambda text: text[1:], "is not a KLARF file"),
-        (_replaced("\n 1 100.000", "\n;\n 1 100.000"), "its summary counts 3 defects and 0 are listed"),
+        (_replaced("DefectRecordSpec 17", "DefectRecordSpec 18"), "it names 17 of 18 columns"),
+        (_replaced("ClassLookup 9", "ClassLookup 8"), "its class list names 9 of 8 classes"),
+        (_replaced(" 1 3 69.7674 4 2;", " 1 3 69.7674 4;"), "its summary has 4 numbers in 5 columns"),
+        (_replaced("0 0;\nSummarySpec", "0 0 9 9;\nSummarySpec"), "line 3 of its defects has 19 of 17 numbers"),
+        (_replaced('"L-204";', '"L-204;'), "line 6 has a quotation mark that is not closed"),
+        (_replaced("Slot 7;\n", "Slot 7 "), "a semicolon is missing before SampleCenterLocation"),
+        (_replaced("Slot 7;", "Slot 7;\nDiePitch 900 800;"), "it states DiePitch more than once"),
+        (_replaced("Slot 7;", "Slot 7;\nCoordinatesMirrored MAYBE;"), "its CoordinatesMirrored is MAYBE"),
+        (_replaced("EndOfFile;", "EndOfFile;\nFileVersion 1 2;"), "another file follows its EndOfFile"),
         (lambda text: re.sub(r"\n 2 7\.250.*", "", text), "its summary counts 3 defects and 2 are listed"),
-        (_replaced(" 5 -12.000 30.000", " 5"), "line 3 of its defects has 15 of 16 numbers"),
-        (_replaced(" 2 7.250 701.000", " 2"), "line 2 of its defects has 15 of 16 numbers"),
+        (_replaced(" 5 -12.000 30.000", " 5"), "line 3 of its defects has 15 of 17 numbers"),
+        (_replaced(" 2 7.250 701.000", " 2"), "line 2 of its defects has 15 of 17 numbers"),
         (_replaced("DiePitch 1000.000000 800.000000", "DiePitch 1000000 800000"), "it is in another unit"),
         (_replaced("DiePitch 1000.000000 800.000000", "DiePitch 1.0 0.8"), "it is in another unit, say which"),
         (_replaced(" 1 100.000 50.500", " 1 100000 50500"), "its places are in another unit than its dies"),
@@ -261,8 +272,158 @@ def test_a_half_index_is_no_index(other_tool: Path):
         read_klarf(other_tool)
 
 
-def test_klarf_1_8_is_named_and_the_way_round_it(tmp_path: Path):
-    path = tmp_path / "new.kla"
-    path.write_text('Record FileRecord "1.8"\n{\n Field FileTimestamp 2 {"03-14-2026", "09:41:07"}\n}\nEndOfFile;\n')
-    with pytest.raises(DatasetError, match=r"new.kla is KLARF 1.8, which has another syntax: export it as KLARF 1.2"):
+def _facts(klarf: Klarf) -> Klarf:
+    """Return a file without what differs between the versions, lengths rounded to .1 nm."""
+    rounded = [replace(d, **{name: round(getattr(d, name), 4) for name in LENGTHS}) for d in klarf.defects]
+    header = {name: round(getattr(klarf, name), 4) for name in HEADER_LENGTHS}
+    return replace(klarf, version="", notes=(), defects=tuple(rounded), **header)
+
+
+LENGTHS = ("u_um", "v_um", "width_um", "height_um", "size_um", "area_um2")
+HEADER_LENGTHS = ("pitch_x_um", "pitch_y_um", "center_x_um", "center_y_um", "inspected_um2")
+
+
+def test_both_versions_hold_the_same(file: Path, tmp_path: Path):
+    nested = write_klarf(FOUND, tmp_path / "w07_18.klarf", SAMPLE, version="1.8")
+    klarf = read_klarf(nested)
+    assert (klarf.version, klarf.notes) == ("1.8", ("Lengths were converted from nm to um.",))
+    assert _facts(klarf) == _facts(read_klarf(file))
+    with pytest.raises(DatasetError, match=r"it states the unit nm, not um: leave the unit out"):
+        read_klarf(nested, "um")
+    with pytest.raises(DatasetError, match=r"KLARF 1.3 is not written: choose one of 1.2, 1.8"):
+        write_klarf(FOUND, tmp_path / "w07_13.klarf", version="1.3")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda text: text[: len(text) // 2], "is cut off, it has no EndOfFile"),
+        (_replaced("}\nEndOfFile", "EndOfFile"), "a brace is not closed before its EndOfFile"),
+        (_replaced("Data 3", "Data 4"), "its DefectList has 3 of 4 rows"),
+        (_replaced("1 100000 50500 0", "1 100000 0"), "row 1 of its DefectList has 14 of 15 values"),
+        (_replaced("Columns 15", "Columns 14"), "its DefectList names 15 of 14 columns"),
+        (_replaced("DiePitch 2", "DiePitch 3"), "its field DiePitch has 2 of 3 values"),
+        (_replaced("1 3 69.7674", "1 4 69.7674"), "its summary counts 4 defects and 3 are listed"),
+        (_replaced("List DefectList", "Listen DefectList"), "has 'Listen' where Record, Field or List is expected"),
+        (_replaced('"1.8"', '"1.9"'), "it is KLARF 1.9 and not one of 1.8: export it as 1.2"),
+        (
+            _replaced('Record WaferRecord "W07"', 'Record WaferRecord "W08" {}\nRecord WaferRecord "W07"'),
+            "several wafers",
+        ),
+    ],
+)
+def test_errors_of_the_nested_syntax_are_reported(tmp_path: Path, damage: Callable[[str], str], says: str):
+    path = write_klarf(FOUND, tmp_path / "w07_18.klarf", SAMPLE, version="1.8")
+    damaged = damage(path.read_text())
+    assert damaged != path.read_text()
+    path.write_text(damaged)
+    with pytest.raises(DatasetError, match=says):
         read_klarf(path)
+
+
+NESTED_TOOL = """Record FileRecord  "1.8"
+{
+  Record LotRecord "A77"
+  {
+    Record WaferRecord "05"
+    {
+      Field DieOrigin 2 {0, 0}
+      Field OrientationInstructions 1 {"Back"}
+      Field SampleCenterLocation 2 {2500000, 2000000}
+
+      List DefectList
+      {
+        Columns 9 { int32 DEFECTID,  int32 XREL,  int32 YREL,  int32 XINDEX,  int32 YINDEX,
+        int32 DSIZE,  float CONTRAST,  ImageList IMAGEINFO,  int32 CLASSNUMBER  }
+        Data 2
+        {
+          1 100500 200250 0 0 5000
+            0.0000 Images 2 { "a 1.jpg" "JPG" 1 "Patch", "a;2.jpg" "JPG" 1 "Patch" } 7 ;
+          2 300000 400000 1 0 NA NA N 0 ;
+        }
+      }
+      Record TestRecord "1" { Field AreaPerTest 1 {4.0e+013} Field InspectionTest 2 {1, "1"} }
+    }
+    Field DiePitch 2 {5000000, 4000000}
+    Field OrientationMarkLocation 1 {0}
+    Field SampleSize 2 {200000000, 0}
+    List ClassLookupList
+    {
+      Columns 3 { int32 CLASSNUMBER, string CLASSNAME, string CLASSCODE }
+      Data 2
+      {
+         0 "None" "";
+         7 "Scratch" "";
+      }
+    }
+  }
+}
+EndOfFile;
+"""
+"""In the manner of a tool that wraps rows, lists images within them and states what is of the lot behind its wafers."""
+
+
+def test_the_nested_syntax_of_another_tool_is_read(tmp_path: Path):
+    path = tmp_path / "a77_05.klarf"
+    path.write_text(NESTED_TOOL)
+    klarf = _facts(read_klarf(path))
+    places = [(d.number, d.col, d.row, d.u_um, d.v_um, d.size_um, d.class_name) for d in klarf.defects]
+    assert places == [(1, 0, 0, 100.5, 200.25, 5.0, "Scratch"), (2, 1, 0, 300.0, 400.0, 0.0, "None")]
+    assert (klarf.lot, klarf.wafer, klarf.sample_mm, klarf.inspected_um2) == ("A77", "05", 200.0, 4e7)
+    assert (klarf.pitch_x_um, klarf.center_x_um, klarf.center_y_um) == (5000.0, 2500.0, 2000.0)
+    assert 'Its OrientationInstructions say "Back": its places are taken as they are.' in read_klarf(path).notes
+
+
+@pytest.mark.parametrize(
+    ("layout", "note"),
+    [
+        (_replaced("EndOfFile;", "EndOfFile;" + "\n" * 300), ()),
+        (_replaced("EndOfFile;", "EndOfFile;\n\x1a\0\0"), ()),
+        (_replaced("EndOfFile;", "EndOfFile;\nchecksum 17"), ("What follows EndOfFile was left out.",)),
+        (_replaced("\n", "\r\n"), ()),
+        (_replaced("\n", "\r"), ()),
+        (_replaced(" 7 1 1\n 1 0;", " 7 1 1\n 1 0;\n"), ()),
+        (_replaced(" 12.0 5.0 0 0 0\n 3", " 12.0 5.0 0 0 0;\n\n 3"), ()),
+        (_replaced(" 0 0\n 1 0;", " 0 0;\n 1 0;"), ()),
+        (str.upper, ()),
+        (str.lower, ()),
+        (
+            _replaced('StepID "METAL2";', 'StepID "METAL2"'),
+            ("A record has no semicolon and was taken to end before the next keyword.",),
+        ),
+    ],
+)
+def test_other_layouts_are_read_alike(other_tool: Path, layout: Callable[[str], str], note: tuple[str, ...]):
+    expected = read_klarf(other_tool)
+    other_tool.write_text(layout(OTHER_TOOL), newline="")
+    klarf = read_klarf(other_tool)
+    assert [(d.number, d.u_um, d.v_um, d.size_um) for d in klarf.defects] == [
+        (d.number, d.u_um, d.v_um, d.size_um) for d in expected.defects
+    ]
+    assert (klarf.dies, klarf.pitch_x_um, klarf.notes) == (expected.dies, expected.pitch_x_um, note + expected.notes)
+    assert klarf.step.upper() == expected.step
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "latin-1"])
+def test_western_text_is_read_with_a_note(other_tool: Path, encoding: str):
+    other_tool.write_bytes(OTHER_TOOL.replace('"A77"', '"Größe µm é"').encode(encoding))
+    klarf = read_klarf(other_tool)
+    assert klarf.lot == "Größe µm é"
+    assert klarf.notes[0].startswith("Its text is not UTF-8 and was read as Windows-1252")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_files_are_read_equal_or_refused(tmp_path: Path, seed: int):
+    """Fifty files a seed, with and without damage: none is read as what it does not hold."""
+    rng = random.Random(seed)
+    for _ in range(50):
+        drawn = random_klarf(rng)
+        path = tmp_path / "random.klarf"
+        path.write_bytes(drawn.content)
+        try:
+            klarf = read_klarf(path)
+        except DatasetError:
+            assert drawn.damage, drawn.content
+            continue
+        doubted = drawn.damage and any("may not be detected" in note for note in klarf.notes)
+        assert doubted or _facts(klarf) == _facts(drawn.klarf), (drawn.damage, drawn.content)

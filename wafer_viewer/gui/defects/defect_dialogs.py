@@ -141,12 +141,17 @@ WAIT_S = 20.0
 """Timeout for a session command, which is awaited so that the dialog can show its error."""
 FORMATS: dict[str, tuple[Handover, str]] = {
     "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
+    "KLARF 1.8": ("klarf18", "-defects.klarf"),
     "CSV, a table": ("csv", "-defects.csv"),
     "Training set, a folder": ("training", "-training"),
 }
+KLARF_LOSES = (
+    "It cannot hold U, reasons, notes, unmeasured areas or who judged. Heights are in a column of our own "
+    "that other readers ignore; dies not scanned whole are left out of its test plan."
+)
 LOSES: dict[Handover, str] = {
-    "klarf": "It cannot hold U, reasons, notes, unmeasured areas or who judged. Heights are in a column of our own "
-    "that other readers ignore; dies not scanned whole are left out of its test plan.",
+    "klarf": KLARF_LOSES,
+    "klarf18": f"{KLARF_LOSES} Places are in whole nm.",
     "csv": "It has every number with U and all text, but no pictures and no outlines.",
     "training": "Heights and picture round each defect, its features, your class and that of the rules. "
     "Unmeasured areas are left out. It takes a new folder.",

@@ -132,7 +132,7 @@ def _require_pitch(klarf: Klarf, grid: DieGrid, name: str) -> None:
 # ----------------------------------------------------------------------------------------------------- inspection files
 
 
-Handover = Literal["klarf", "csv", "training"]
+Handover = Literal["klarf", "klarf18", "csv", "training"]
 
 
 def write_klarf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
@@ -140,6 +140,13 @@ def write_klarf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     from wafer_viewer.store.tables.klarf import write_klarf
 
     return write_klarf(inspection, path, wafer.sample, center_um=wafer.center_um)
+
+
+def write_klarf18(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
+    """Write a KLARF 1.8 file."""
+    from wafer_viewer.store.tables.klarf import write_klarf
+
+    return write_klarf(inspection, path, wafer.sample, center_um=wafer.center_um, version="1.8")
 
 
 def write_csv(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
@@ -160,6 +167,7 @@ def write_training(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
 
 WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
     "klarf": write_klarf,
+    "klarf18": write_klarf18,
     "csv": write_csv,
     "training": write_training,
 }
@@ -221,7 +229,12 @@ def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer
     return wafer, inspection
 
 
-TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
+TITLES: dict[Handover, str] = {
+    "klarf": "KLARF",
+    "klarf18": "KLARF",
+    "csv": "Table of defects",
+    "training": "Training set",
+}
 
 
 class DefectFiles:
@@ -296,7 +309,7 @@ class DefectFiles:
 
     @observer_command
     def write(self, kind: Handover, path: Path) -> Future[Path]:
-        """Write the defects with their judgements: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
+        """Write the defects with their judgements to a file, for ``training`` to a new folder."""
         out = Path(path).absolute()
         return self._background.run(f"{TITLES[kind]} {out.name}", hand_over, *self._looked_at, kind, out).done
 
