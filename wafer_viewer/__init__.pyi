@@ -51,6 +51,7 @@ from .model.gauge import GaugeRR as GaugeRR
 from .model.gauge import GaugeTerms as GaugeTerms
 from .model.inspection.defect import DefectLimits as DefectLimits
 from .model.inspection.defect import DefectRecipe as DefectRecipe
+from .model.inspection.defect import die_bins as die_bins
 from .model.inspection.defect import verdict_of as verdict_of
 from .model.inspection.die_grid import DieGrid as DieGrid
 from .model.job import Job as Job
@@ -116,3 +117,4 @@ from .store.records.inspection_records import save_defect_recipe as save_defect_
 from .store.tables.klarf import read_klarf as read_klarf
 from .store.tables.klarf import write_klarf as write_klarf
 from .store.tables.training_set import write_training_set as write_training_set
+from .store.tables.wafer_map import write_wafer_map as write_wafer_map

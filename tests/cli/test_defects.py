@@ -54,7 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "csv", "training")}
+    out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "e142", "sinf", "csv", "training")}
     flags = [word for what, path in out.items() for word in (f"--{what}", path)]
     golden = ("--save-golden", str(tmp_path / "std"))
     status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *golden, "--max-per-die", "0"])
@@ -64,6 +64,9 @@ def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Pat
     assert worst["die"] in reported["verdict"]["failing"]
     assert not any(worst["number"] in place["numbers"] for place in reported["repeats"])
     assert worst["center"] == pytest.approx(AT_UM, abs=2.0)
+    codes = [line.split() for line in Path(out["sinf"]).read_text().split("RowData:")[1:]]
+    assert sum(row.count("0B") for row in codes) == len(reported["verdict"]["failing"])
+    assert "<BinCode>" in Path(out["e142"]).read_text()
     klarf = read_klarf(out["klarf"])
     assert len(klarf.defects) == reported["verdict"]["counted"]
     with Path(out["csv"]).open() as file:
@@ -81,10 +84,13 @@ def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_within_its_limits_the_status_is_0(folder: Path, capsys: pytest.CaptureFixture[str]):
-    flags = ("--max-per-die", "50", "--sensitivity", "0.2", *GIVEN)
+def test_within_its_limits_the_status_is_0(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    nested = tmp_path / "w.klarf"
+    flags = ("--max-per-die", "50", "--sensitivity", "0.2", *GIVEN, "--klarf", str(nested), "--klarf-version", "1.8")
     assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 0
-    assert json.loads(capsys.readouterr().out)["inspection"]["recipe"]["sensitivity"] == 0.2
+    reported = json.loads(capsys.readouterr().out)
+    assert (reported["inspection"]["recipe"]["sensitivity"], reported["files"]) == (0.2, {"klarf": str(nested)})
+    assert read_klarf(nested).version == "1.8"
 
 
 @pytest.mark.slow
@@ -132,6 +138,7 @@ def test_areas_that_a_recipe_names_are_left_out_and_reported(
         (("--golden", "x.golden.npz", "--against", "form"), "leave --golden or --against form out"),
         (("--other", "gone.klarf"), "gone.klarf cannot be read, it does not exist"),
         (("--max-per-die", "-1"), "max_per_die is -1: it must be at least 0"),
+        (("--sinf", "w.sinf"), "set max_per_die (--max-per-die), such as 0"),
     ],
 )
 def test_bad_input_is_one_sentence(

@@ -15,7 +15,7 @@ from tyro.conf import arg
 from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, verdict_of
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, require_die_limit, verdict_of
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover, compared, overlay_klarf
 from wafer_viewer.session.inspection.inspection_job import GivenDies, Wafer, dies_on, inspected, wafer_of
@@ -39,6 +39,8 @@ def measure_defects(
     save_golden: Annotated[Path | None, arg(metavar="FOLDER/NAME")] = None,
     klarf: File = None,
     klarf_version: Literal["1.2", "1.8"] = "1.2",
+    e142: File = None,
+    sinf: File = None,
     csv: File = None,
     training: Annotated[Path | None, arg(metavar="FOLDER")] = None,
     other: File = None,
@@ -68,6 +70,8 @@ def measure_defects(
         save_golden: Keep the typical die of this wafer as the next version of NAME.
         klarf: Write a KLARF file.
         klarf_version: Its version; lengths are in um in 1.2 and in nm in 1.8.
+        e142: Write a wafer map, XML of SEMI E142; a die fails beyond the largest number of defects per die.
+        sinf: Write a wafer map as SINF, a text.
         csv: Write a table.
         training: Write a folder of cut-outs with the classes given by the rules and by people.
         other: A KLARF of another tool: reports what both found and what only one of them found.
@@ -91,10 +95,13 @@ def measure_defects(
     wafer = wafer_of(src, result)
     used_recipe = _recipe(recipe, wafer, src, sensitivity, limits)
     stored = _golden(golden, against, used_recipe, src)
+    wanted: dict[Handover, Path | None] = {"e142": e142, "sinf": sinf, "csv": csv, "training": training}
+    wanted["klarf18" if klarf_version == "1.8" else "klarf"] = klarf
+    if e142 or sinf:
+        require_die_limit(used_recipe.limits)
     with progress("Looking for defects") as tell:
         inspection = inspected(wafer, used_recipe, given, stored, against, tell, hire)
-    kind: Handover = "klarf18" if klarf_version == "1.8" else "klarf"
-    files = _files(wafer, inspection, {kind: klarf, "csv": csv, "training": training})
+    files = _files(wafer, inspection, wanted)
     files |= _keep_golden(wafer, inspection, given, save_golden)
     verdict = verdict_of(inspection)
     summary = {"verdict": verdict, "files": files, "repeats": repeated_places(inspection), "inspection": inspection}
@@ -143,8 +150,9 @@ def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) ->
 
 
 def _files(wafer: Wafer, found: Inspection, paths: dict[Handover, Path | None]) -> dict[str, str]:
-    """Write the requested files and return their paths."""
-    return {what: str(WRITERS[what](wafer, found, path)) for what, path in paths.items() if path is not None}
+    """Write the requested files and return their paths by flag."""
+    written = {what: WRITERS[what](wafer, found, path) for what, path in paths.items() if path is not None}
+    return {"klarf" if what == "klarf18" else what: str(path) for what, path in written.items()}
 
 
 def _require_readable(other: Path | None) -> None:

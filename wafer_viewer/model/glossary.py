@@ -200,7 +200,8 @@ GLOSSARY: tuple[Term, ...] = (
     Term("capture rate", "Inspection", "Share of the true defects that are found.", "SEMI M50"),
     Term("false count", "Inspection", "Reported defects that are none, in a square millimetre.", "SEMI M50"),
     Term("nuisance", "Inspection", "A reported difference that a person judged to be no defect.", "SEMI M50"),
-    Term("KLARF", "Inspection", "The text format in which yield systems exchange defects.", "KLARF 1.2"),
+    Term("KLARF", "Inspection", "The text format in which yield systems exchange defects.", "KLARF 1.2, 1.8"),
+    Term("bin", "Inspection", "What a wafer map says of a die: pass, fail, missing or not inspected.", "SEMI E142"),
     # ----------------------------------------------------------------------------------------------------- session
     Term("job", "Session", "A plan with features and limits that an engineer releases and an operator runs."),
     Term("feature", "Session", "A quantity of the job with its limits."),

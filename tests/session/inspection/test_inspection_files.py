@@ -128,6 +128,24 @@ def test_defects_go_out_as_they_are_judged(bench, tmp_path):
         bench.do(bench.controller.write, "training", tmp_path / "set")
 
 
+def test_a_wafer_map_follows_limit_and_judgement(bench, tmp_path):
+    with pytest.raises(MeasureError, match="set max_per_die"):
+        bench.do(bench.controller.write, "e142", tmp_path / "w.xml")
+    bench.do(bench.defects.limit, DefectLimits(max_per_die=0))
+    assert "0B" in bench.do(bench.controller.write, "sinf", tmp_path / "w.sinf").read_text().split("RowData:", 1)[1]
+    for number in (1, 2):
+        bench.do(bench.defects.judge, number, "nuisance", None, None)
+    assert 'BinCode="0B" BinCount="0"' in bench.do(bench.controller.write, "e142", tmp_path / "w.xml").read_text()
+    for number in (1, 2):
+        bench.do(bench.defects.judge, number, "open", None, None)
+    bench.do(bench.defects.limit, DefectLimits())
+
+
+def test_a_klarf_goes_out_in_both_versions(bench, tmp_path):
+    files = [bench.do(bench.controller.write, kind, tmp_path / kind) for kind in ("klarf", "klarf18")]
+    assert [read_klarf(file).version for file in files] == ["1.2", "1.8"]
+
+
 @pytest.mark.parametrize("what", ["klarf", "csv", "training"])
 def test_a_place_that_cannot_be_written_to_is_reported(bench, tmp_path, what):
     with pytest.raises(DatasetError, match=r"cannot be written: its folder does not exist"):

@@ -142,6 +142,8 @@ WAIT_S = 20.0
 FORMATS: dict[str, tuple[Handover, str]] = {
     "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
     "KLARF 1.8": ("klarf18", "-defects.klarf"),
+    "Wafer map, SEMI E142": ("e142", "-map.xml"),
+    "Wafer map, SINF": ("sinf", "-map.sinf"),
     "CSV, a table": ("csv", "-defects.csv"),
     "Training set, a folder": ("training", "-training"),
 }
@@ -149,9 +151,15 @@ KLARF_LOSES = (
     "It cannot hold U, reasons, notes, unmeasured areas or who judged. Heights are in a column of our own "
     "that other readers ignore; dies not scanned whole are left out of its test plan."
 )
+MAP_LOSES = (
+    "It has one bin for each die, pass, fail, missing or not inspected, and no defects. "
+    "A die fails beyond the largest number of defects per die, which must be set; nuisances do not count."
+)
 LOSES: dict[Handover, str] = {
     "klarf": KLARF_LOSES,
     "klarf18": f"{KLARF_LOSES} Places are in whole nm.",
+    "e142": MAP_LOSES,
+    "sinf": MAP_LOSES,
     "csv": "It has every number with U and all text, but no pictures and no outlines.",
     "training": "Heights and picture round each defect, its features, your class and that of the rules. "
     "Unmeasured areas are left out. It takes a new folder.",

@@ -289,6 +289,57 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     )
 
 
+DieBin = Literal["pass", "fail", "missing", "not inspected"]
+
+
+def die_bins(inspection: Inspection, limits: DefectLimits | None = None) -> dict[tuple[int, int], DieBin]:
+    """Sort the dies of an inspection by their defects.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        Result of a defect inspection with dies.
+    limits : DefectLimits, optional
+        Largest number of defects on one die. Default: the limits of the inspection's recipe.
+
+    Returns
+    -------
+    dict
+        (column, row) of each die and its bin: "missing" where no die was seen, "fail" for more defects than permitted,
+        "not inspected" for dies that were not scanned completely or not inspected, else "pass".
+
+    Raises
+    ------
+    MeasureError
+        When no limit of defects per die is set.
+
+    Notes
+    -----
+    Defects judged a nuisance, and unmeasured areas, are not counted. A die with too many defects fails even if it was
+    only partly scanned.
+    """
+    limits = inspection.recipe.limits if limits is None else limits
+    require_die_limit(limits)
+    failing = _failing([defect for defect in inspection.found if defect.judgement != "nuisance"], limits)
+    return {(die.col, die.row): _bin(die, failing) for die in inspection.dies}
+
+
+def require_die_limit(limits: DefectLimits) -> None:
+    """Raise MeasureError without a limit of defects per die."""
+    if limits.max_per_die is None:
+        raise MeasureError(
+            "A wafer map needs the largest number of defects of a good die: set max_per_die (--max-per-die), such as 0."
+        )
+
+
+def _bin(die: DieStatus, failing: tuple[str, ...]) -> DieBin:
+    if die.state == "missing":
+        return "missing"
+    if die.name in failing:
+        return "fail"
+    return "pass" if die.state == "whole" and die.defects is not None else "not inspected"
+
+
 def _lacks_area(die: DieStatus, inspection: Inspection) -> bool:
     """Return whether a part of a die was not scanned; the rim of a lattice that names no dies may cut them."""
     named = inspection.grid is not None and inspection.grid.named

@@ -132,7 +132,7 @@ def _require_pitch(klarf: Klarf, grid: DieGrid, name: str) -> None:
 # ----------------------------------------------------------------------------------------------------- inspection files
 
 
-Handover = Literal["klarf", "klarf18", "csv", "training"]
+Handover = Literal["klarf", "klarf18", "e142", "sinf", "csv", "training"]
 
 
 def write_klarf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
@@ -147,6 +147,20 @@ def write_klarf18(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     from wafer_viewer.store.tables.klarf import write_klarf
 
     return write_klarf(inspection, path, wafer.sample, center_um=wafer.center_um, version="1.8")
+
+
+def write_e142(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
+    """Write a wafer map as SEMI E142."""
+    from wafer_viewer.store.tables.wafer_map import write_wafer_map
+
+    return write_wafer_map(inspection, path, wafer.sample, format="e142")
+
+
+def write_sinf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
+    """Write a wafer map as SINF."""
+    from wafer_viewer.store.tables.wafer_map import write_wafer_map
+
+    return write_wafer_map(inspection, path, wafer.sample, format="sinf")
 
 
 def write_csv(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
@@ -168,6 +182,8 @@ def write_training(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
 WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
     "klarf": write_klarf,
     "klarf18": write_klarf18,
+    "e142": write_e142,
+    "sinf": write_sinf,
     "csv": write_csv,
     "training": write_training,
 }
@@ -232,6 +248,8 @@ def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer
 TITLES: dict[Handover, str] = {
     "klarf": "KLARF",
     "klarf18": "KLARF",
+    "e142": "Wafer map",
+    "sinf": "Wafer map",
     "csv": "Table of defects",
     "training": "Training set",
 }

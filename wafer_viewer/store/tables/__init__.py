@@ -1,1 +1,1 @@
-"""Tables and wafer maps for other programs: CSV, KLARF, training sets."""
+"""Tables and wafer maps for other programs: CSV, KLARF, SEMI E142, SINF, training sets."""
