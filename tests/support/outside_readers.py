@@ -155,12 +155,11 @@ def _settings(folder: Path) -> list[OutsideReader]:
 
 
 def _tables(folder: Path) -> list[OutsideReader]:
-    klarf = write_klarf(
-        inspection(defect(1, "0,0", 100.0, 50.5), defect(2, "2,1", 7.25, 701.0, kind="pit")),
-        folder / "w07.klarf",
-        Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0),
-        at=datetime.datetime(2026, 11, 22, 5, 1, 2),
-    )
+    found = inspection(defect(1, "0,0", 100.0, 50.5), defect(2, "2,1", 7.25, 701.0, kind="pit"))
+    sample = Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0)
+    at = datetime.datetime(2026, 11, 22, 5, 1, 2)
+    klarf = write_klarf(found, folder / "w07.klarf", sample, at=at)
+    nested = write_klarf(found, folder / "w07_18.klarf", sample, at=at, version="1.8")
     study = folder / "study.csv"
     rows = [f"{part},{who},{part + 0.1 * n}\n" for part in (1, 2, 3) for who in "AB" for n in range(3)]
     study.write_text("part,appraiser,value\n" + "".join(rows))
@@ -181,6 +180,7 @@ def _tables(folder: Path) -> list[OutsideReader]:
     )
     return [
         OutsideReader("klarf", klarf, read_klarf),
+        OutsideReader("klarf 1.8", nested, read_klarf),
         OutsideReader("study", study, read_study),
         OutsideReader("golden die", golden, open_golden),
         OutsideReader("planes", planes, read_planes),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from tests.browser.sessions.fake_defect_files import other_file
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.gui.defects.defect_dialogs import other_marks, overlay_html
-from wafer_viewer.session.inspection.inspection_files import overlay_klarf
+from wafer_viewer.gui.defects.defect_dialogs import FORMATS, LOSES, other_marks, overlay_html
+from wafer_viewer.session.inspection.inspection_files import TITLES, WRITERS, overlay_klarf
 
 INSPECTION = found(PLANTED)
 
@@ -30,3 +30,7 @@ def test_all_of_it_is_on_the_map_and_can_be_clicked(tmp_path: Path):
     assert {mark.shape for mark in marks} == {"ring"}
     assert "defect-other" in marks[0].attributes
     assert other_marks(None) == []
+
+
+def test_every_export_is_offered_with_what_it_loses():
+    assert {kind for kind, _ in FORMATS.values()} == set(LOSES) == set(WRITERS) == set(TITLES)
