@@ -33,6 +33,8 @@ def test_the_manuals_example(study, capsys: pytest.CaptureFixture[str]):
     reported = json.loads(capsys.readouterr().out)
     assert (reported["parts"], reported["appraisers"], reported["trials"]) == (10, 3, 3)
     assert reported["gauge_rr"] == pytest.approx(0.30237, abs=1e-5)
+    assert (reported["interaction_variation"], round(reported["interaction_p"], 3)) == (0.0, 0.974)
+    assert "interaction" not in reported
     assert reported["share_of_tolerance"] == pytest.approx(6 * 0.30237 / 4, abs=1e-4)
     assert main(["measure", "rr", study(LINES), "--method", "range"]) == 0
     assert json.loads(capsys.readouterr().out)["distinct_categories"] == 5

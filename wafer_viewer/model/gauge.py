@@ -16,7 +16,7 @@ from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
 from wafer_viewer.model.quantity import Length, Unit, Word
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Within
 
 Grade = Literal["K", "0", "1", "2"]
 VARIATION_UM: dict[Grade, float] = {"K": 0.05, "0": 0.10, "1": 0.16, "2": 0.30}
@@ -283,9 +283,9 @@ class GaugeRR(Spec, frozen=True, kw_only=True):
     """A gauge R&R study after AIAG's MSA; all deviations are standard deviations in the unit of the values.
 
     `repeatability`: equipment variation; `reproducibility`: appraiser variation, including the interaction of
-    appraisers and parts; `gauge_rr`: both combined; `part_variation`; `total_variation`: all combined. `interaction`: p
-    value of the interaction of appraisers and parts (ANOVA only); only an insignificant interaction is pooled into
-    repeatability.
+    appraisers and parts, `interaction_variation`; `gauge_rr`: both combined; `part_variation`; `total_variation`: all
+    combined. `interaction_p`: p value of the interaction (ANOVA only); only an insignificant interaction is pooled into
+    repeatability, and its variation is 0 then. Both are None where there is no interaction to test.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -298,7 +298,8 @@ class GaugeRR(Spec, frozen=True, kw_only=True):
     gauge_rr: NonNegative
     part_variation: NonNegative
     total_variation: NonNegative
-    interaction: float | None = None
+    interaction_variation: NonNegative | None = None
+    interaction_p: Fraction | None = None
     tolerance: Positive | None = None
     notes: tuple[str, ...] = ()
 

@@ -128,6 +128,9 @@ def test_a_study_is_told_with_what_was_studied(tmp_path):
     text = study(made)
     for part in ("<b>10</b> parts", "<b>3</b> appraisers", "<b>3</b> trials", "Acceptable", "Distinct categories"):
         assert part in text
+    assert "of it parts with appraisers, INT" in text
+    assert "p of parts with appraisers" in text
+    assert "INT" not in study(Studies().gauge_rr(path, "range")[0])
 
 
 def test_sites_are_coloured_by_their_range_and_never_called_sfqr():

@@ -39,7 +39,8 @@ def test_the_manuals_example_by_anova():
     assert round(found.part_variation, 6) == 1.042327
     assert round(100 * found.share_of_variation, 1) == 27.9
     assert found.distinct_categories == 4
-    assert found.interaction == pytest.approx(0.974, abs=5e-4)
+    assert found.interaction_p == pytest.approx(0.974, abs=5e-4)
+    assert found.interaction_variation == 0.0
 
 
 def test_the_manuals_example_by_range():
@@ -71,15 +72,23 @@ def test_each_spread_is_found(together: float):
     assert found.reproducibility == pytest.approx(np.hypot(0.5, together), rel=0.2)
     assert found.part_variation == pytest.approx(2.0, rel=0.1)
     assert found.share_of_tolerance == pytest.approx(found.gauge_rr)
-    assert found.interaction is not None
-    assert (found.interaction < 0.05) == (together > 0)
+    assert found.interaction_p is not None
+    assert (found.interaction_p < 0.05) == (together > 0)
+    assert found.interaction_variation == pytest.approx(together, rel=0.02)
 
 
 def test_one_appraiser_says_nothing_of_others():
     found = gauge_rr(AIAG[:, :1])
     assert found.reproducibility == 0
     assert any("not evaluated" in note for note in found.notes)
-    assert found.interaction is None
+    assert (found.interaction_variation, found.interaction_p) == (None, None)
+
+
+def test_repeats_that_do_not_differ_leave_the_interaction_alone():
+    x = np.repeat(np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])[..., None], 2, axis=2)
+    found = gauge_rr(x)
+    assert (found.repeatability, found.interaction_p) == (0.0, 0.0)
+    assert found.interaction_variation == pytest.approx(np.sqrt(2 / 3))
 
 
 def test_what_does_not_vary_has_no_share():

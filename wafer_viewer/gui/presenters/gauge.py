@@ -343,11 +343,12 @@ def _table(study: GaugeRR, unit: Unit | None) -> Markup:
     rows = (
         ("Repeatability, EV", study.repeatability, ""),
         ("Reproducibility, AV", study.reproducibility, ""),
+        ("of it parts with appraisers, INT", study.interaction_variation, ""),
         ("Gauge R&R", study.gauge_rr, "strong"),
         ("Part variation, PV", study.part_variation, ""),
         ("Total variation, TV", study.total_variation, "strong"),
     )
-    lines = [_variation_line(name, s, study.total_variation, look) for name, s, look in rows]
+    lines = [_variation_line(name, s, study.total_variation, look) for name, s, look in rows if s is not None]
     return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
 
 
@@ -364,8 +365,8 @@ def _rest(study: GaugeRR) -> Markup:
         ("Distinct categories", number(study.distinct_categories, 0)),
         ("6 s of the gauge, of the tolerance", NOTHING if of_tolerance is None else share(of_tolerance)),
     ]
-    if study.interaction is not None:
-        pairs.append(("Parts with appraisers, p", number(study.interaction, 3)))
+    if study.interaction_p is not None:
+        pairs.append(("p of parts with appraisers", number(study.interaction_p, 3)))
     return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + _small(
         "Shares are of deviations, and do not sum up to 100 %."
     )

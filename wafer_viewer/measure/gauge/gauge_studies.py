@@ -248,9 +248,10 @@ def gauge_rr(values: ArrayLike, *, method: Method = "anova", tolerance: float | 
     Returns
     -------
     GaugeRR
-        Standard deviations in the unit of `values`: repeatability, reproducibility, both combined (`gauge_rr`), part
-        variation and total variation. `interaction` is the p value of the interaction of appraisers and parts, None by
-        range or where there is none to test.
+        Standard deviations in the unit of `values`: repeatability, reproducibility, that of the interaction of
+        appraisers and parts, which is part of reproducibility (`interaction_variation`), both combined (`gauge_rr`),
+        part variation and total variation. `interaction_p` is the p value of the interaction. The two of the
+        interaction are None by range or where there is none to test.
 
     Raises
     ------
@@ -266,8 +267,8 @@ def gauge_rr(values: ArrayLike, *, method: Method = "anova", tolerance: float | 
     Notes
     -----
     By analysis of variance, an interaction that is not significant at the level of 0.05 is pooled into repeatability,
-    and a significant one counts as reproducibility. With one appraiser reproducibility is not evaluated: it is 0, with
-    a note.
+    its own variation is 0 then, and a significant one counts as reproducibility. With one appraiser reproducibility is
+    not evaluated: it is 0, with a note.
 
     References
     ----------
@@ -366,7 +367,7 @@ def _by_anova(x: Values, tolerance: float | None) -> GaugeRR:
         repeatability=np.sqrt(within / df_within),
         reproducibility=np.sqrt(max(0.0, (appraiser_ms - base) / (parts * trials)) + together_var),
         part=np.sqrt(max(0.0, (part_ms - base) / (appraisers * trials))),
-        interaction=p,
+        interaction=None if p is None else (float(np.sqrt(together_var)), p),
     )
 
 
@@ -394,8 +395,10 @@ def _found(
     repeatability: float,
     reproducibility: float,
     part: float,
-    interaction: float | None,
+    interaction: tuple[float, float] | None,
 ) -> GaugeRR:
+    """Return the result; interaction: its standard deviation and its p value."""
+    interaction_variation, interaction_p = interaction or (None, None)
     grr = float(np.hypot(repeatability, reproducibility))
     return GaugeRR(
         method=method,
@@ -407,16 +410,22 @@ def _found(
         gauge_rr=grr,
         part_variation=float(part),
         total_variation=float(np.hypot(grr, part)),
-        interaction=interaction,
+        interaction_variation=interaction_variation,
+        interaction_p=interaction_p,
         tolerance=tolerance,
         notes=(ONE_APPRAISER,) if x.shape[1] == 1 else (),
     )
 
 
 def _chance(together: float, df_together: int, within: float, df_within: int) -> float | None:
-    """Return the p value of the interaction; None where there is none to test."""
-    if df_together == 0 or within == 0:
+    """Return the p value of the interaction; None where there is none to test.
+
+    Repeats that do not differ at all make any interaction certain.
+    """
+    if df_together == 0 or within == together == 0:
         return None
+    if within == 0:
+        return 0.0
     return float(stats.f.sf((together / df_together) / (within / df_within), df_together, df_within))
 
 
