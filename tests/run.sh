@@ -178,7 +178,8 @@ compile_kernels() {
 quick_benchmarks() {
   local folder failed=0
   folder="$(mktemp -d)"
-  printf '%s\n' tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/cleaning.py tests/bench/speed.py |
+  printf '%s\n' tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/bring.py tests/bench/cleaning.py \
+    tests/bench/speed.py |
     xargs -P 2 -I FILE bash -c '
       python "$1" --quick >"$2/$(basename "$1" .py)" 2>&1 || ended=$?
       echo "$SECONDS s  $(basename "$1" .py)${ended:+ FAILED with $ended}"

@@ -27,6 +27,7 @@ IN_ORDER = {
     "signs differ": ["z-10.png", "z-5.png", "z0.png", "z5.png"],
     "a counter that began anew": ROLLED,
     "a counter that began at 0": ["f998.png", "f999.png", "f000.png", "f001.png"],
+    "a first one without a number": ["a.png", "a (1).png", "a (2).png", "a (3).png"],
     "brackets that number": ["a (1).png", "a (2).png", "a (10).png"],
     "no numbers": ["far.png", "mid.png", "near.png"],
     "times of the day": ["10-59-59.png", "11-00-02.png", "11-00-03.png", "11-00-09.png"],
@@ -58,6 +59,8 @@ def test_list_keeps_its_order_and_that_of_a_shell_is_sorted(tmp_path):
     assert named(order_of(tmp_path, "c.png", "a.png", "b.png", listed=True)) == ["c.png", "a.png", "b.png"]
     assert named(order_of(tmp_path, *ROLLED, listed=True)) == ROLLED
     assert named(order_of(tmp_path, "f1.png", "f10.png", "f2.png", listed=True)) == ["f1.png", "f2.png", "f10.png"]
+    down = ["z+5um.png", "z+0um.png", "z-5um.png"]
+    assert order_of(tmp_path, *down, listed=True).z_um == pytest.approx([-5, 0, 5])
 
 
 def test_missing_numbers_are_gaps(tmp_path):

@@ -100,7 +100,8 @@ def frame_order(files: Sequence[Path], *, listed: bool) -> FrameOrder:
         When there are two series or two files for a frame, or the names number two things.
     """
     in_order = sorted(files, key=lambda path: natural_sort_key(path.name))
-    if listed and list(files) not in (in_order, sorted(files), sorted(files, key=lambda path: path.name)):
+    alphabetical = (in_order, sorted(files), sorted(files, key=lambda path: path.name))
+    if listed and list(files) not in alphabetical and not _rise_in_z(files):
         return FrameOrder(tuple(files), notes=())
     names = [_parsed(path) for path in in_order]
     series, left_out, notes = _one_series(names)
@@ -120,6 +121,20 @@ def _parsed(path: Path) -> _Name:
     return _Name(path, (*texts, path.stem[end:]), tuple(tokens))
 
 
+def _rise_in_z(files: Sequence[Path]) -> bool:
+    """Return whether listed names say their z with a unit, which rises or falls along the list."""
+    series = [_parsed(path) for path in files]
+    if len({name.template for name in series}) > 1:
+        return False
+    columns = [
+        n for n in range(len(series[0].tokens)) if _UNIT.match(series[0].texts[n + 1]) and _all_differ(series, n)
+    ]
+    if len(columns) != 1:
+        return False
+    values = [_value(name, columns[0], signed=_is_signed(series, columns[0])) for name in series]
+    return values in (sorted(values), sorted(values, reverse=True))
+
+
 # --- one series
 
 
@@ -134,6 +149,10 @@ def _one_series(names: list[_Name]) -> tuple[list[_Name], list[Path], list[str]]
         _refuse_twins([], names)
         return names, [], []
     others = [name for group in by_size[1:] for name in group]
+    first = _without_number(others, main)
+    if first is not None:
+        others.remove(first)
+        main = [_numbered(first, main), *main]
     copies = [name for name in others if _copied(name, main) is not None]
     _refuse_other_copies(copies, main)
     strangers = [name for name in others if name not in copies]
@@ -151,6 +170,21 @@ def _one_series(names: list[_Name]) -> tuple[list[_Name], list[Path], list[str]]
         kind = "named as a result, not as a frame" if _RESULT.search(stranger.path.stem) else "not named as the others"
         notes.append(f"{stranger.path.name} was left out: it is {kind}, {main[0].path.name}.")
     return main, [name.path for name in (*copies, *strangers)], notes
+
+
+def _without_number(others: list[_Name], main: list[_Name]) -> _Name | None:
+    """Return the file that is named as the frames but for the number, which begins after it: pic, pic (1), pic (2)."""
+    if len(main[0].tokens) != 1 or min(name.tokens[0].value for name in main) not in (1, 2):
+        return None
+    stem = f"{main[0].texts[0].rstrip(' (_-')}{main[0].texts[1].lstrip(')')}".casefold()
+    found = [one for one in others if one.path.stem.casefold() == stem and one.template[-1] == main[0].template[-1]]
+    return found[0] if len(found) == 1 and stem else None
+
+
+def _numbered(first: _Name, main: list[_Name]) -> _Name:
+    """Return a name without a number as that of the frame before the others."""
+    number = int(min(name.tokens[0].value for name in main)) - 1
+    return _Name(first.path, main[0].texts, (_Token(str(number), ""),))
 
 
 def _copied(name: _Name, main: list[_Name]) -> _Name | None:
@@ -281,15 +315,16 @@ def _is_signed(series: list[_Name], column: int) -> bool:
 # --- order
 
 
+def _value(name: _Name, column: int, *, signed: bool) -> float:
+    token = name.tokens[column]
+    return -token.value if signed and token.sign and token.sign in _SIGNS[1:] else token.value
+
+
 def _by_column(series: list[_Name], column: int | None) -> FrameOrder:
     if column is None:
         return FrameOrder(tuple(name.path for name in series))
     signed = _is_signed(series, column)
-    values = {
-        name.path: (-1 if signed and name.tokens[column].sign in _SIGNS[1:] and name.tokens[column].sign else 1)
-        * name.tokens[column].value
-        for name in series
-    }
+    values = {name.path: _value(name, column, signed=signed) for name in series}
     if len(set(values.values())) < len(values):
         value, n = Counter(values.values()).most_common(1)[0]
         twins = [path.name for path, own in values.items() if own == value]
