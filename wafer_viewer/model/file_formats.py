@@ -40,8 +40,8 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".x3p",),
         title="X3P, ISO 25178-72",
-        loses=f"{_HEIGHTS_ONLY}. Gwyddion draws its rows downward, not up as the standard has them.",
-        layout="m, first row at the bottom, revision ISO5436_2000",
+        loses=f"{_HEIGHTS_ONLY}.",
+        layout="m, first row at the top, y downward from minus the stage's y, revision ISO5436_2000",
         reader=f"{_STORE}.x3p:read_x3p",
         writer=f"{_STORE}.x3p:write_x3p",
     ),

@@ -102,7 +102,7 @@ FAULTS = {
     "no pixel.gsf": (gsf(XYUnits=None), "states no pixel size: give it, as in --pixel-um 0.5"),
     "volts.gsf": (gsf(ZUnits="V"), "gives its heights in 'V', which is not a unit of length"),
     "twice.gsf": (gsf().replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "states ZUnits twice, m and nm"),
-    "oblong.gsf": (gsf(YReal=4e-6), "has pixels of 1 x 1.33333 um: resample it to square pixels"),
+    "oblong.gsf": (gsf(YReal=40e-6), "has pixels of 1 x 13.33333 um, over ten times as long as wide: resample it"),
     "no unit.csv": (TABLE.encode(), "states no unit of its heights"),
     "two units.csv": (
         f"# unit: mm\nx_um,y_um,z_um\n{TABLE}".encode(),

@@ -49,7 +49,7 @@ def program(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(("ending", "unit"), [(".gsf", 1e6), (".gwy", 1e6), (".x3p", 1e6), (".tif", 1.0)])
 def test_gwyddion(written, z_um, tmp_path, ending, unit):
-    """It has no units of TIFF, and draws the rows of X3P downward (2.62)."""
+    """It has no units of TIFF (2.62)."""
     gwyfile = pytest.importorskip("gwyfile")
     out = tmp_path / "out.gwy"
     environment = os.environ | {"HOME": str(tmp_path)}
@@ -58,7 +58,7 @@ def test_gwyddion(written, z_um, tmp_path, ending, unit):
     tree = gwyfile.load(str(out))
     field = tree["/0/data"]
     found = np.where(tree["/0/mask"].data > 0, np.nan, field.data * unit)
-    np.testing.assert_allclose(found, z_um[::-1] if ending == ".x3p" else z_um, atol=2e-5)
+    np.testing.assert_allclose(found, z_um, atol=2e-5)
     if ending != ".tif":
         assert (field.xreal, field.yreal) == pytest.approx((WIDTH_M, HEIGHT_M))
     if ending in (".gsf", ".gwy"):
@@ -76,14 +76,14 @@ def test_gwyfile(written, z_um):
 
 
 def test_x3pio(written, z_um, tmp_path):
-    """Both ways; the first row is the lowest."""
+    """Both ways; the first row is the top edge."""
     x3pio = pytest.importorskip("x3pio")
     found = x3pio.read(written / "a.x3p")
-    np.testing.assert_allclose(found.layers[0].z[::-1] * 1e6, z_um, atol=1e-9)
+    np.testing.assert_allclose(found.layers[0].z * 1e6, z_um, atol=1e-9)
     assert (found.header.x.increment, found.header.y.increment) == pytest.approx((5e-7, 5e-7))
-    np.testing.assert_allclose(np.asarray(found.placement.offset) * 1e6, LOW)
+    np.testing.assert_allclose(np.asarray(found.placement.offset) * 1e6, (LOW[0], -HIGH[1], 0), atol=1e-9)
     for kind, scale in ((x3pio.DataType.FLOAT64, 1.0), (x3pio.DataType.INT32, "auto")):
-        x3pio.write(tmp_path / "b.x3p", z_um[::-1] * 1e-6, x_scale=5e-7, y_scale=5e-7, z_type=kind, z_scale=scale)
+        x3pio.write(tmp_path / "b.x3p", z_um * 1e-6, x_scale=5e-7, y_scale=5e-7, z_type=kind, z_scale=scale)
         back = read_surface(tmp_path / "b.x3p")
         np.testing.assert_allclose(back.z_um, z_um, atol=1e-5)
         assert back.pixel_um == pytest.approx(0.5)
@@ -93,10 +93,9 @@ def test_x3pio(written, z_um, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("ending", [".gwy", ".x3p"])
 def test_surface_topography(written, z_um, ending):
-    """It counts rows along x; X3P upward, GWY from the top."""
+    """It counts rows along x, from the top."""
     topography = pytest.importorskip("SurfaceTopography").open_topography(str(written / f"a{ending}")).topography()
-    heights = np.ma.filled(topography.heights().T, np.nan) * 1e6
-    np.testing.assert_allclose(heights[::-1] if ending == ".x3p" else heights, z_um, atol=1e-6)
+    np.testing.assert_allclose(np.ma.filled(topography.heights().T, np.nan) * 1e6, z_um, atol=1e-6)
     assert topography.unit == "m"
     assert topography.physical_sizes == pytest.approx((WIDTH_M, HEIGHT_M))
 
@@ -105,7 +104,7 @@ def test_surface_topography(written, z_um, ending):
 @pytest.mark.parametrize("ending", [".gwy", ".x3p"])
 def test_surfalize(written, z_um, ending):
     found = pytest.importorskip("surfalize").Surface.load(str(written / f"a{ending}"))
-    np.testing.assert_allclose(found.data[::-1] if ending == ".x3p" else found.data, z_um, atol=1e-6)
+    np.testing.assert_allclose(found.data, z_um, atol=1e-6)
     assert (found.step_x, found.step_y) == pytest.approx((0.5, 0.5))
 
 

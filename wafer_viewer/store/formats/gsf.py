@@ -16,6 +16,7 @@ from wafer_viewer.store.formats.reader_support import (
     ReadOptions,
     about,
     heights_only,
+    on_square_pixels,
     parse_metadata,
     provenance_of,
     scaled,
@@ -47,12 +48,14 @@ def read_gsf(path: Path, options: ReadOptions) -> HeightMap:
     z_scale = options.z_scale_um(header.get("ZUnits"))
     unit_um = options.lateral_um(header.get("XYUnits"))
     dx_um, dy_um = (_pitch_um(header, name, n, unit_um, options) for name, n in (("XReal", cols), ("YReal", rows)))
-    pixel_um = options.pixel_um(dx_um, dy_um)
-    z_um = scaled(options, np.memmap(path, "<f4", "r", begin, (rows, cols)), z_scale)
+    dx_um, dy_um = options.pitches_um(dx_um, dy_um)
+    raw = np.memmap(path, "<f4", "r", begin, (rows, cols))
+    z_um = scaled(options, raw, z_scale, is_ours=OURS in header)
+    z_um, pixel_um = on_square_pixels(options, z_um, dx_um, dy_um)
     x0_um, y0_um = (_number(header, name, options, 0.0) * (unit_um or 0.0) for name in ("XOffset", "YOffset"))
     embedded = header.pop(OURS, None)
     came_from = provenance_of(parse_metadata(embedded), embedded, *header.values())
-    return heights_only(options, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, came_from)
+    return heights_only(options, z_um, pixel_um, x0_um + dx_um / 2, -y0_um - dy_um / 2, came_from)
 
 
 def _header(strips: Strips) -> bytes:

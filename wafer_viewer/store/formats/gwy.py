@@ -24,6 +24,7 @@ from wafer_viewer.store.formats.reader_support import (
     ReadOptions,
     about,
     heights_only,
+    on_square_pixels,
     parse_metadata,
     provenance_of,
     require_some,
@@ -216,12 +217,12 @@ def _surface(
     unit_um = options.lateral_um(_unit(field, "si_unit_xy"))
     rows, cols = _shape(field)
     pitches = (None, None) if unit_um is None else (field["xreal"] / cols * unit_um, field["yreal"] / rows * unit_um)
-    pixel_um = options.pixel_um(*pitches)
+    dx_um, dy_um = options.pitches_um(*pitches)
     x0_um, y0_um = (field.get(name, 0.0) * (unit_um or 0.0) for name in ("xoff", "yoff"))
-    place = pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2
-    z_um = _heights(tree, number, channels, options)
+    z_um, pixel_um = on_square_pixels(options, _heights(tree, number, channels, options), dx_um, dy_um)
+    place = pixel_um, x0_um + dx_um / 2, -y0_um - dy_um / 2
     wanted = [titles.get(channel.title) for channel in CHANNELS]
-    if came_from is None or None in wanted or any(_shape(channels[n]) != (rows, cols) for n in wanted if n is not None):
+    if came_from is None or None in wanted or any(_shape(channels[n]) != z_um.shape for n in wanted if n is not None):
         return heights_only(options, z_um, *place, came_from)
     confidence, grey, origin = (channels[n] for n in wanted[2:] if n is not None)
     require_some(options, np.isfinite(z_um))
@@ -243,11 +244,13 @@ def _surface(
 def _heights(tree: Tree, number: int, channels: dict[int, Tree], options: ReadOptions) -> NDArray[np.float32]:
     """Return the heights of a channel; pixels under its mask are NaN."""
     field = channels[number]
-    z_um = scaled(options, field["data"].reshape(_shape(field)), options.z_scale_um(_unit(field, "si_unit_z")))
+    is_ours = OURS in tree.get(f"/{number}/meta", {})
+    z_scale = options.z_scale_um(_unit(field, "si_unit_z"))
+    z_um = scaled(options, field["data"].reshape(_shape(field)), z_scale, is_ours=is_ours)
     mask = tree.get(f"/{number}/mask")
     if _is_field(mask) and _shape(mask) == _shape(field):
         z_um[mask["data"].reshape(_shape(field)) > 0] = np.nan
-        if OURS not in tree.get(f"/{number}/meta", {}):
+        if not is_ours:
             options.notes.append("What lies under its mask counts as unmeasured.")
     return z_um
 

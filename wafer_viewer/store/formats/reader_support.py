@@ -176,21 +176,27 @@ class ReadOptions:
 
     def pixel_um(self, dx_um: float | None, dy_um: float | None = None) -> float:
         """Return the pixel size in um. Raises DatasetError if not square, or the user's value differs."""
-        given = self.overrides.pixel_um
-        if dx_um is None or not math.isfinite(dx_um) or dx_um == 0:
-            if given is None:
-                raise self.refuse("states no pixel size: give it, as in --pixel-um 0.5.")
-            return given
-        dy_um = dx_um if dy_um is None else dy_um
-        if dx_um < 0 or dy_um < 0:
-            raise self.refuse("is mirrored, a step along x or y is negative: write it with positive steps.")
+        dx_um, dy_um = self.pitches_um(dx_um, dy_um)
         if not same(dx_um, dy_um):
             raise self.refuse(
                 f"has pixels of {dx_um:.6g} x {dy_um:.6g} um: resample it to square pixels before, as Gwyddion does."
             )
-        if given is not None and not same(given, dx_um):
-            raise self.refuse(f"states pixels of {dx_um:.6g} um, but --pixel-um is {given:g}: leave --pixel-um out.")
         return dx_um
+
+    def pitches_um(self, dx_um: float | None, dy_um: float | None = None) -> tuple[float, float]:
+        """Return the distances of columns and of rows in um. Raises DatasetError if the user's value differs."""
+        given = self.overrides.pixel_um
+        if dx_um is None or not math.isfinite(dx_um) or dx_um == 0:
+            if given is None:
+                raise self.refuse("states no pixel size: give it, as in --pixel-um 0.5.")
+            return given, given
+        dy_um = dx_um if dy_um is None else dy_um
+        if dx_um < 0 or dy_um < 0:
+            raise self.refuse("is mirrored, a step along x or y is negative: write it with positive steps.")
+        if given is not None and not (same(given, dx_um) and same(given, dy_um)):
+            stated = f"{dx_um:.6g}" if same(dx_um, dy_um) else f"{dx_um:.6g} x {dy_um:.6g}"
+            raise self.refuse(f"states pixels of {stated} um, but --pixel-um is {given:g}: leave --pixel-um out.")
+        return dx_um, dy_um
 
     def watch(self, items: list[Any]) -> Iterator[Any]:
         """Yield the items with a progress report after each. Raises DatasetError when stopped."""
@@ -205,13 +211,41 @@ class ReadOptions:
         return factor
 
 
-def scaled(options: ReadOptions, raw: NDArray[Any], factor: float, offset_um: float = 0.0) -> Heights:
-    """Convert raw values [row, col] to heights in um, strip by strip."""
+def scaled(
+    options: ReadOptions, raw: NDArray[Any], factor: float, offset_um: float = 0.0, *, is_ours: bool = False
+) -> Heights:
+    """Convert raw values [row, col] to heights in um; a large mean is taken off those of other programs."""
+    strips = [raw[top : top + STRIP_ROWS] for top in range(0, raw.shape[0], STRIP_ROWS)]
+    if not is_ours and raw.size:
+        finite = [strip[np.isfinite(strip)] for strip in strips]
+        ends = [float(end) * factor + offset_um for part in finite if part.size for end in (part.min(), part.max())]
+        offset_um -= common_height_um(options, ends)
     heights = np.empty(raw.shape, np.float32)
     for top in options.watch(list(range(0, raw.shape[0], STRIP_ROWS))):
         rows = slice(top, top + STRIP_ROWS)
         heights[rows] = raw[rows].astype(np.float64) * factor + offset_um
     return heights
+
+
+_FINEST_UM = 1e-4
+"""Rounding of 32-bit heights that is accepted: a tenth of a nanometre, far below the noise of any instrument."""
+
+
+def common_height_um(options: ReadOptions, ends_um: list[float]) -> float:
+    """Return what to take off heights within `ends_um` before 32-bit floats round them, with a note; usually 0."""
+    largest = max((abs(end) for end in ends_um), default=0.0)
+    rounding_um = float(np.spacing(np.float32(largest)))
+    if not math.isfinite(rounding_um) or rounding_um <= _FINEST_UM:
+        return 0.0
+    low, high = min(ends_um), max(ends_um)
+    if 8 * (high - low) > abs(low + high):
+        return 0.0
+    common_um = float(round((low + high) / 2))
+    options.notes.append(
+        f"{common_um:.0f} um were taken off its heights, which 32-bit floats would have rounded to "
+        f"{rounding_um * 1e3:.2g} nm there."
+    )
+    return common_um
 
 
 def heights_only(
@@ -243,6 +277,57 @@ def heights_only(
         y0_um=y0_um,
         provenance=replace(came_from, notes=(*came_from.notes, *options.notes)),
     )
+
+
+_MOST_DRIFT_PX = 0.1
+"""Largest error of a pixel's place that is accepted, rather than a resampling, where pixels are nearly square."""
+_ROUNDED = 1e-6
+"""Relative difference of two pitches that is a rounding in the file."""
+_LONGEST = 10.0
+"""Largest ratio of the sides of a pixel that is resampled: beyond it, most heights would be interpolated."""
+
+
+def on_square_pixels(options: ReadOptions, z_um: Heights, dx_um: float, dy_um: float) -> tuple[Heights, float]:
+    """Return heights [row, col] on square pixels, and their size in um; a note tells what was lost.
+
+    Where rows and columns differ in distance, the sparser ones are interpolated linearly, without bridging gaps. A
+    difference that moves no pixel by a tenth of one is kept as it is. Raises DatasetError for pixels over ten times
+    as long as wide.
+    """
+    low, high = sorted((dx_um, dy_um))
+    axis, name = (0, "y") if dy_um > dx_um else (1, "x")
+    excess, n = high / low - 1, z_um.shape[axis]
+    sides = f"{dx_um:.7g} x {dy_um:.7g} um"
+    if excess * (n - 1) <= _MOST_DRIFT_PX:
+        if excess > _ROUNDED:
+            off_um = excess * (n - 1) * low
+            options.notes.append(
+                f"Its pixels of {sides} were taken as squares of {low:.7g} um: {name} is short by {off_um:.2g} um "
+                "over the surface."
+            )
+        return z_um, low
+    if high > _LONGEST * low:
+        raise options.refuse(f"has pixels of {sides}, over ten times as long as wide: resample it before.")
+    options.notes.append(
+        f"Its pixels of {sides} were resampled to {low:.7g} um along {name}, by linear interpolation: "
+        f"no detail along {name} is finer than {high:.7g} um."
+    )
+    return _interpolated(z_um, axis, low / high), low
+
+
+def _interpolated(z_um: Heights, axis: int, step: float) -> Heights:
+    """Return heights at every `step` of a row (axis 0) or column (axis 1), NaN next to a gap."""
+    source = z_um if axis == 0 else z_um.T
+    places = np.arange(int((len(source) - 1) / step + 1e-6) + 1) * step
+    first = np.minimum((places + 1e-6).astype(np.intp), len(source) - 1)
+    share = np.where(places - first < 2e-6, 0.0, places - first)
+    out = np.empty((len(places), source.shape[1]), np.float32)
+    for top in range(0, len(places), STRIP_ROWS):
+        rows = slice(top, top + STRIP_ROWS)
+        weight, low = share[rows, None], source[first[rows]].astype(np.float64)
+        high = source[np.minimum(first[rows] + 1, len(source) - 1)]
+        out[rows] = np.where(weight == 0, low, low * (1 - weight) + high * weight)
+    return out if axis == 0 else np.ascontiguousarray(out.T)
 
 
 def require_some(options: ReadOptions, finite: NDArray[np.bool_]) -> None:

@@ -50,24 +50,18 @@ class Strips:
         """True if the surface has the layer of uncertainties."""
         return self.surface.window(Region.point(self.surface.x0_um, self.surface.y0_um)).u_um is not None
 
-    @property
-    def low_y_um(self) -> float:
-        """Stage y of the last written row."""
-        return self.surface.y0_um - (self.shape[0] - 1) * self.pixel_um
-
-    def layer(self, name: str, part: int = 0, of: int = 1, *, upward: bool = False) -> Iterator[NDArray[Any]]:
-        """Yield a layer strip by strip; `upward`: from the bottom edge, with rows reversed."""
-        for rows in self._watched(part, of, upward):
-            strip = self._read(name, rows)
-            yield strip[::-1] if upward else strip
+    def layer(self, name: str, part: int = 0, of: int = 1) -> Iterator[NDArray[Any]]:
+        """Yield a layer strip by strip."""
+        for rows in self._watched(part, of):
+            yield self._read(name, rows)
 
     def maps(self, part: int = 0, of: int = 1) -> Iterator[HeightMap]:
         """Yield all layers strip by strip."""
-        for rows in self._watched(part, of, upward=False):
+        for rows in self._watched(part, of):
             strip = _window(self.surface, rows)
             yield strip if self.every == 1 else thinned(strip, self.every)
 
-    def _watched(self, part: int, of: int, upward: bool) -> Iterator[slice]:
+    def _watched(self, part: int, of: int) -> Iterator[slice]:
         rows, step = self.surface.shape[0], max(1, STRIP_ROWS // self.every) * self.every
         runs = [slice(top, min(top + step, rows)) for top in range(0, rows, step)]
         tell, total = self.progress, len(runs)
@@ -76,7 +70,7 @@ class Strips:
             if tell is not None:
                 tell((part + done) / of)
 
-        yield from with_progress(runs[::-1] if upward else runs, total, "Writing the surface", report, self.should_stop)
+        yield from with_progress(runs, total, "Writing the surface", report, self.should_stop)
 
     def _read(self, name: str, rows: slice) -> NDArray[Any]:
         if isinstance(self.surface, ZarrMosaic):

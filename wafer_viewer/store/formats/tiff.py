@@ -17,6 +17,7 @@ from wafer_viewer.store.formats.reader_support import (
     ReadOptions,
     about,
     heights_only,
+    on_square_pixels,
     parse_metadata,
     provenance_of,
     same,
@@ -88,10 +89,11 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
         (described_um, described_um) if isinstance(described_um, float | int) else (lateral_um or (None, None))
     )
     z_scale = options.z_scale_um(facts.get("unit"))
-    pixel_um = options.pixel_um(dx_um, dy_um)
-    z_um = scaled(options, raw, z_scale)
+    pitches_um = options.pitches_um(dx_um, dy_um)
+    z_um = scaled(options, raw, z_scale, is_ours=metadata is not None)
     if no_data is not None:
         z_um[raw == np.float64(str(no_data.value).strip("\0 "))] = np.nan
+    z_um, pixel_um = on_square_pixels(options, z_um, *pitches_um)
     place = (metadata.x0_um, metadata.y0_um) if metadata else (0.0, 0.0)
     return heights_only(options, z_um, pixel_um, *place, provenance_of(metadata, embedded, by_imagej))
 

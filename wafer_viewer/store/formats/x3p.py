@@ -1,8 +1,9 @@
 """X3P, ISO 25178-72 (revision ISO5436_2000): a zip of main.xml, the heights, and their MD5 checksums.
 
-Lengths are in m and right-handed: the first row has the smallest y, and (Offset of CX, Offset of CY) is its first
-point. Implemented here and not with x3pio, which holds several copies of the heights in memory and supports neither
-stopping nor progress; the tests compare the two.
+Lengths are in m. In this revision the first row is the top edge and y points downward, as Gwyddion, MountainsMap,
+surfalize and SurfaceTopography take it, so the Offset of CY is minus the stage y of the first row. Earlier versions of
+this program wrote the bottom row first, y upward; they have another Creator. Implemented here and not with x3pio, which
+holds several copies of the heights in memory and supports neither stopping nor progress; the tests compare the two.
 """
 
 from __future__ import annotations
@@ -23,9 +24,12 @@ from wafer_viewer.store.formats.reader_support import (
     ReadOptions,
     about,
     caveats,
+    common_height_um,
     heights_only,
+    on_square_pixels,
     parse_metadata,
     provenance_of,
+    scaled,
 )
 from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
 from wafer_viewer.store.io.guarded_reading import require_unpacked
@@ -33,6 +37,9 @@ from wafer_viewer.store.io.guarded_reading import require_unpacked
 MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
 REVISION = "ISO5436 - 2000"
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
+CREATOR = "Wafer Viewer, top row first"
+_BOTTOM_FIRST = "Wafer Viewer"
+"""Creator of the files that begin with the bottom row."""
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 _M = 1e-6
 _LARGEST_XML = 16_000_000
@@ -43,7 +50,7 @@ def write_x3p(strips: Strips, path: Path) -> None:
     digest = hashlib.md5(usedforsecurity=False)
     with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
         with archive.open(DATA, "w", force_zip64=True) as file:
-            for z_um in strips.layer("z_um", upward=True):
+            for z_um in strips.layer("z_um"):
                 data = (z_um.astype("<f8") * _M).tobytes()
                 digest.update(data)
                 file.write(data)
@@ -64,12 +71,19 @@ def _read(archive: zipfile.ZipFile, main: ElementTree.Element, options: ReadOpti
     dx, dy, dz = (_axis(main, name, options) for name in ("CX", "CY", "CZ"))
     if dz[0] < 0 and not options.overrides.invert_z:
         raise options.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
-    pixel_um, m_um = options.pixel_um(dx[0] / _M, dy[0] / _M), options.z_scale_um("m")
-    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, options)
+    dx_um, dy_um = options.pitches_um(dx[0] / _M, dy[0] / _M)
+    creator = _text(main, "Record2/Creator")
+    m_um = options.z_scale_um("m")
+    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, options, is_ours=creator in (CREATOR, _BOTTOM_FIRST))
+    y0_um = -dy[1] / _M
+    if creator == _BOTTOM_FIRST:
+        z_um, y0_um = z_um[::-1].copy(), (z_um.shape[0] - 1) * dy_um - y0_um
+    elif (revision := _text(main, "Record1/Revision")) not in (REVISION, None):
+        options.notes.append(f"Its first row was taken as the top edge: check that, its revision is {revision}.")
+    z_um, pixel_um = on_square_pixels(options, z_um, dx_um, dy_um)
     for_people, _, embedded = (_text(main, "Record2/Comment") or "").partition("\n")
     model = _text(main, "Record2/Instrument/Model")
     came_from = provenance_of(parse_metadata(embedded), embedded, for_people, model)
-    y0_um = dy[1] / _M + (z_um.shape[0] - 1) * pixel_um
     return heights_only(options, z_um, pixel_um, dx[1] / _M, y0_um, came_from)
 
 
@@ -83,13 +97,13 @@ def _main(strips: Strips, digest: str) -> bytes:
             "FeatureType": "SUR",
             "Axes": {
                 "CX": _axis_element("I", pixel_m, strips.surface.x0_um * _M),
-                "CY": _axis_element("I", pixel_m, strips.low_y_um * _M),
+                "CY": _axis_element("I", pixel_m, -strips.surface.y0_um * _M),
                 "CZ": _axis_element("A", 1.0, 0.0),
             },
         },
         "Record2": {
             "Date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "Creator": "Wafer Viewer",
+            "Creator": CREATOR,
             "Instrument": {
                 "Manufacturer": "Wafer Viewer",
                 "Model": "virtual rig, SIMULATED" if provenance.simulated else "shape from focus",
@@ -128,10 +142,15 @@ def _append_elements(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
             child.text = str(below)
 
 
+def _main_name(archive: zipfile.ZipFile) -> str:
+    """Return the member main.xml that lies highest, in whatever folder; empty if there is none."""
+    found = [n for n in archive.namelist() if n.replace("\\", "/").split("/")[-1].lower() == MAIN]
+    return min(found, key=len, default="")
+
+
 def _main_of(archive: zipfile.ZipFile, options: ReadOptions) -> ElementTree.Element:
     """Return the root of main.xml after a check of its checksum and its feature type."""
-    name = next((n for n in archive.namelist() if n.lower().endswith(MAIN)), None)
-    if name is None:
+    if not (name := _main_name(archive)):
         raise options.refuse(f"is not an X3P file, it has no {MAIN}: give one that has.")
     with archive.open(name) as file:
         text = file.read(_LARGEST_XML)
@@ -155,20 +174,28 @@ def _main_of(archive: zipfile.ZipFile, options: ReadOptions) -> ElementTree.Elem
 
 
 def _heights(
-    archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, options: ReadOptions
+    archive: zipfile.ZipFile,
+    main: ElementTree.Element,
+    factor: float,
+    offset_um: float,
+    options: ReadOptions,
+    *,
+    is_ours: bool,
 ) -> NDArray[np.float32]:
-    """Return the heights with the row of the largest y first; NaN where invalid."""
+    """Return the heights in the order of the file; NaN where invalid."""
     rows, cols, layers = (_size(main, name, options) for name in ("SizeY", "SizeX", "SizeZ"))
     if layers != 1:
         raise options.refuse(f"has {layers} layers and one is read: write the one that is wanted into its own file.")
     link, kind = _text(main, "Record3/DataLink/PointDataLink"), _text(main, "Record1/Axes/CZ/DataType") or "D"
-    if link is None or kind not in _TYPES:
-        raise options.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
+    if link is None:
+        return scaled(options, _text_heights(main, rows, cols, options), factor, offset_um, is_ours=is_ours)
+    if kind not in _TYPES:
+        raise options.refuse(f"keeps its heights in an unknown type, {kind[:20]}: write it with I, L, F or D.")
     name, dtype = _member_name(archive, link, options), np.dtype(_TYPES[kind])
     if archive.getinfo(name).file_size < rows * cols * dtype.itemsize:
         raise options.refuse("is truncated, it has fewer heights than its header states: copy it again.")
-    z_um, digest = np.empty((rows, cols), np.float32), hashlib.md5(usedforsecurity=False)
-    valid = _valid(archive, main, rows * cols, options)
+    valid, digest = _valid(archive, main, rows * cols, options), hashlib.md5(usedforsecurity=False)
+    z_um, common_um = np.empty((rows, cols), np.float32), 0.0 if is_ours else None
     with archive.open(name) as file:
         for first in options.watch(list(range(0, rows, STRIP_ROWS))):
             end = min(first + STRIP_ROWS, rows)
@@ -177,9 +204,25 @@ def _heights(
             strip = np.frombuffer(data, dtype).astype(np.float64) * factor + offset_um
             if valid is not None:
                 strip[~valid[first * cols : end * cols]] = np.nan
-            z_um[rows - end : rows - first] = strip.reshape(-1, cols)[::-1]
+            known = strip[np.isfinite(strip)]
+            if common_um is None and known.size:
+                common_um = common_height_um(options, [float(known.min()), float(known.max())])
+            z_um[first:end] = (strip - (common_um or 0.0)).reshape(-1, cols)
     _require_sum(_text(main, "Record3/DataLink/MD5ChecksumPointData") or "", digest, "heights", options)
     return z_um
+
+
+def _text_heights(main: ElementTree.Element, rows: int, cols: int, options: ReadOptions) -> NDArray[np.float64]:
+    """Return heights that main.xml itself lists: the last coordinate of each Datum, none where unmeasured."""
+    texts = [
+        (datum.text or "").rpartition(";")[2].strip() for datum in main.iterfind("{*}Record3/{*}DataList/{*}Datum")
+    ]
+    if len(texts) != rows * cols:
+        raise options.refuse(f"lists {len(texts)} heights, but its header states {rows} x {cols}: copy it again.")
+    try:
+        return np.array([float(text or "nan") for text in texts]).reshape(rows, cols)
+    except ValueError as fault:
+        raise options.refuse("lists heights that are not numbers: write it again with binary data.") from fault
 
 
 def _valid(
@@ -198,8 +241,10 @@ def _valid(
 
 
 def _member_name(archive: zipfile.ZipFile, link: str, options: ReadOptions) -> str:
+    """Return the member that main.xml links to, in the folder where main.xml lies."""
     wanted = link.replace("\\", "/").removeprefix("./").removeprefix("/")
-    name = next((n for n in archive.namelist() if n.replace("\\", "/") == wanted), None)
+    folder = _main_name(archive)[: -len(MAIN)].replace("\\", "/")
+    name = next((n for n in archive.namelist() if n.replace("\\", "/") in (folder + wanted, wanted)), None)
     if name is None:
         raise options.refuse(f"has no {wanted}, which holds its heights: copy it again.")
     return name
