@@ -14,6 +14,7 @@ from tyro.conf import Suppress
 from wafer_viewer.cli.arguments import File, Images, Out, Sources, Text, Word, require_sources
 from wafer_viewer.cli.output import audit, print_contents, print_json, progress, warn
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface_format import Table
 
 
 def inspect(
@@ -21,6 +22,7 @@ def inspect(
     images: Images,
     z_unit: Text = None,
     invert_z: bool = False,
+    table: Table = None,
     quick: bool = False,
     json: bool = False,
 ) -> int:
@@ -32,6 +34,7 @@ def inspect(
         src: A folder of images, an image file, image files in their order, a surface file, or a NAME.wafer.
         z_unit: Unit of the heights, where a surface file does not say it.
         invert_z: The numbers of a surface file are depths: invert them.
+        table: Whether the lines of a text file are points or the rows of a matrix, where that is not clear.
         quick: Do not read the images for their sharpness and the order that it supports.
         json: Print JSON, with the sharpness of each frame, instead of a table.
     """
@@ -39,7 +42,7 @@ def inspect(
     from wafer_viewer.store.dataset.file_contents import file_contents
 
     require_sources(src)
-    says = Reading(z_unit=z_unit, pixel_um=images.pixel_um, invert_z=invert_z)
+    says = Reading(z_unit=z_unit, pixel_um=images.pixel_um, invert_z=invert_z, table=table)
     with progress("Reading") as tell:
         found = file_contents(src, images, says, look=not quick, progress=tell)
     print_json(found) if json else print_contents(found)
@@ -53,6 +56,7 @@ def import_(
     overlap_fraction: float = 0.1,
     z_unit: Text = None,
     invert_z: bool = False,
+    table: Table = None,
 ) -> None:
     """Make a dataset of images taken elsewhere, one field or a grid told apart by a name pattern, or of a surface file.
 
@@ -62,6 +66,7 @@ def import_(
         overlap_fraction: Overlap of neighbouring fields.
         z_unit: Unit of the heights, where a surface file does not say it.
         invert_z: The numbers of a surface file are depths: invert them.
+        table: Whether the lines of a text file are points or the rows of a matrix, where that is not clear.
     """
     from wafer_viewer.model.surface_format import Reading
     from wafer_viewer.session.files.file_jobs import import_surface
@@ -71,7 +76,7 @@ def import_(
     require_sources(src)
     if len(src) == 1 and is_surface_file(src[0]):
         with progress("Import") as tell:
-            says = Reading(z_unit=z_unit, pixel_um=images.pixel_um, invert_z=invert_z)
+            says = Reading(z_unit=z_unit, pixel_um=images.pixel_um, invert_z=invert_z, table=table)
             import_surface(src[0], out, says, progress=tell)
         print(f"{out}: a surface without frames")
         audit(out.absolute().parent, "Surface imported", out.name, f"path: {src[0].name}")

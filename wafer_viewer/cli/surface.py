@@ -29,6 +29,7 @@ from wafer_viewer.model.report import PARTS, Part, ReportOrder
 from wafer_viewer.model.surface.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface_format import Table
 
 OF_THE_PAGE = ("stamp", "changed")
 """Fields of the surface info that only the page needs."""
@@ -130,6 +131,7 @@ def convert(
     z_unit: Text = None,
     pixel_um: Um = None,
     invert_z: bool = False,
+    table: Table = None,
     result: str = "default",
 ) -> None:
     """Write a surface in another format, named by the ending; what that cannot hold is said on standard error.
@@ -144,6 +146,7 @@ def convert(
         z_unit: Unit of the heights, such as um, where SRC does not say it; of points the unit of x and y, too.
         pixel_um: Pixel size where SRC does not say it, or what to grid scattered points on.
         invert_z: The numbers of SRC are depths: invert them.
+        table: Whether the lines of a text are points or the rows of a matrix of heights, where that is not clear.
         result: Name of the reconstruction of a NAME.wafer.
     """
     from wafer_viewer.model.surface_format import Reading
@@ -154,7 +157,7 @@ def convert(
     if every is not None and max_points is not None:
         raise DatasetError("--every and --max-points both say how much is written: give one of them.")
     with progress("Reading") as tell:
-        says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z)
+        says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z, table=table)
         surface = file_or_mosaic(src, result, says, tell)
     _write(surface, out, every or density(surface, out, max_points))
     print(out)

@@ -100,6 +100,12 @@ OWN_FORMATS = (
         writer=f"{_STORE}.text_table:write_xyz",
     ),
     SurfaceFormat(
+        suffixes=(".txt", ".asc", ".tsv"),
+        title="Text, x y z or a matrix of heights",
+        layout="stage µm; a matrix has its first line on top. So may `.csv` and `.xyz`",
+        reader=f"{_STORE}.text_table:read_table",
+    ),
+    SurfaceFormat(
         suffixes=(".stl",),
         title="STL, a mesh",
         loses=f"{_MESH}; x and y are counted from the corner of the surface.",
@@ -157,10 +163,11 @@ def formats_markdown() -> str:
     """Return the table of this program's formats in the documentation."""
     rows = (
         f"| {', '.join(f'`{suffix}`' for suffix in one.suffixes)} | {one.title} | {one.layout} | {one.loses} "
-        f"| {'yes' if one.reader else 'no'} |"
+        f"| {'yes' if one.reader else 'no'} | {'yes' if one.writer else 'no'} |"
         for one in OWN_FORMATS
     )
-    return "\n".join(("| ending | format | units, orientation | stays behind | read |", "|---|---|---|---|---|", *rows))
+    head = "| ending | format | units, orientation | stays behind | read | written |"
+    return "\n".join((head, f"{'|---' * 6}|", *rows))
 
 
 def every_for(shape: tuple[int, int], most_points: int) -> int:

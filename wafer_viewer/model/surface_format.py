@@ -5,11 +5,13 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Positive, Spec
 
+Table = Literal["points", "matrix"] | None
+"""Meaning of the lines of a text file; None: found out."""
 Function = str | Callable[..., Any]
 """A function, or its path ``package.module:function``, which is imported when the function is called."""
 
@@ -68,13 +70,15 @@ class Reading(Spec, frozen=True, kw_only=True):
     """User-supplied properties of a surface file that does not contain them.
 
     z_unit: unit of its heights, and of all three coordinates of points; pixel_um: pixel size, or the grid spacing for
-    scattered points; invert_z: its values are depths, so the sign is inverted.
+    scattered points; invert_z: its values are depths, so the sign is inverted; table: whether the lines of a text are
+    points or the rows of a matrix of heights, where it could be either.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     z_unit: str | None = None
     pixel_um: Positive | None = None
     invert_z: bool = False
+    table: Table = None
 
 
 def imported(function: Function) -> Callable[..., Any]:

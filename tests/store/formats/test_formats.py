@@ -25,6 +25,7 @@ from wafer_viewer.model.surface_format import SurfaceFormat
 from wafer_viewer.store.formats.conversion import density, export, is_surface_file, losses, read_surface
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
+BOTH = [ending for ending in WRITTEN if ending in READ]
 NEARLY = {".gsf": 2e-6, ".csv": 6e-6, ".xyz": 6e-6}
 """How far heights of some um come back off, um, in formats that do not keep all digits."""
 
@@ -64,7 +65,7 @@ def test_a_descriptor_that_cannot_work_is_refused(given, sentence):
         SurfaceFormat(title="Mine", **given)
 
 
-@pytest.mark.parametrize("ending", READ)
+@pytest.mark.parametrize("ending", BOTH)
 def test_lattice_gaps_and_heights_come_back(tmp_path, ending):
     surface = letter_f()
     export(surface, tmp_path / f"a{ending}")
@@ -78,7 +79,7 @@ def test_lattice_gaps_and_heights_come_back(tmp_path, ending):
     np.testing.assert_array_equal(np.isnan(back.to_measure()), np.isnan(surface.z_um))
 
 
-@pytest.mark.parametrize("ending", READ)
+@pytest.mark.parametrize("ending", BOTH)
 def test_simulation_and_calibration_come_back(tmp_path, ending):
     export(make_surface(simulated=True, calibration=CALIBRATION, notes=("a note",)), tmp_path / f"a{ending}")
     back = read_surface(tmp_path / f"a{ending}").provenance
@@ -105,7 +106,7 @@ def without_embedded_metadata(path):
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-@pytest.mark.parametrize("ending", [ending for ending in READ if ending != ".npz"])
+@pytest.mark.parametrize("ending", [ending for ending in BOTH if ending != ".npz"])
 def test_simulation_comes_back_without_the_embedded_metadata(tmp_path, ending, simulated):
     path = tmp_path / f"a{ending}"
     export(make_surface(simulated=simulated, calibration=CALIBRATION), path)
@@ -157,7 +158,7 @@ def test_points_keep_grey_confidence_and_what_was_filled(tmp_path):
     assert np.isnan(back.z_raw_um[surface.origin == Origin.FILLED]).all()
 
 
-@pytest.mark.parametrize("ending", [e for e in READ if e not in (".npz", ".gwy", ".ply")])
+@pytest.mark.parametrize("ending", [e for e in BOTH if e not in (".npz", ".gwy", ".ply")])
 def test_formats_with_heights_only_report_it_on_export_and_import(tmp_path, ending):
     surface = make_surface()
     export(surface, tmp_path / f"a{ending}")

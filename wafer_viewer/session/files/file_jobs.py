@@ -67,7 +67,7 @@ def import_surface(
     if out.exists():
         raise DatasetError(f"{out} exists already. Nothing was written. Choose another name.")
     read = partial(_part, progress, 0.0, READ_SHARE)
-    surface = read_surface(src, says.z_unit, says.pixel_um, says.invert_z, read, should_stop)
+    surface = read_surface(src, says.z_unit, says.pixel_um, says.invert_z, read, should_stop, table=says.table)
     with atomic_write(out) as temporary:
         temporary.mkdir(parents=True)
         _write(temporary, surface, src.name, partial(_part, progress, READ_SHARE, 1 - READ_SHARE), should_stop)

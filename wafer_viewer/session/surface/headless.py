@@ -153,9 +153,11 @@ def file_or_mosaic(src: Path, result: str, says: Reading, tell: Progress) -> Mos
     """
     if is_dataset(src):
         if says != Reading():
-            raise DatasetError(f"{src.name} gives its own units: leave --z-unit, --pixel-um and --invert-z out.")
+            raise DatasetError(
+                f"{src.name} gives its own units: leave --z-unit, --pixel-um, --invert-z and --table out."
+            )
         return Dataset.open(src).result(result).mosaic()
-    return read_surface(src, says.z_unit, says.pixel_um, says.invert_z, tell)
+    return read_surface(src, says.z_unit, says.pixel_um, says.invert_z, tell, table=says.table)
 
 
 def evidence_of(

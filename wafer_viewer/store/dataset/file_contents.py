@@ -100,7 +100,8 @@ def _of_surface(
     path: Path, reading: Reading, progress: Progress | None, should_stop: ShouldStop | None
 ) -> FileContents:
     try:
-        surface = read_surface(path, reading.z_unit, reading.pixel_um, reading.invert_z, progress, should_stop)
+        given = reading.z_unit, reading.pixel_um, reading.invert_z
+        surface = read_surface(path, *given, progress, should_stop, table=reading.table)
     except DatasetError as doubt:
         if not path.is_file():
             raise

@@ -14,7 +14,7 @@ from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, READ, WRITTEN, every_for, with_suffixes
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.model.surface_format import Reading, imported
+from wafer_viewer.model.surface_format import Reading, Table, imported
 from wafer_viewer.store.formats.reader_support import ReadOptions, caveats
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.atomic_files import atomic_write
@@ -35,6 +35,8 @@ def read_surface(
     invert_z: bool = False,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
+    *,
+    table: Table = None,
 ) -> HeightMap:
     """Read a surface from a file in the format given by its suffix.
 
@@ -55,6 +57,9 @@ def read_surface(
         Receives the completed fraction, 0 to 1.
     should_stop : callable, optional
         Returns True if the work should stop.
+    table : {"points", "matrix"}, optional
+        Meaning of the lines of a text file: points by their x, y and z, or rows of a matrix of heights. Default: found
+        out; refused where it could be either.
 
     Returns
     -------
@@ -82,9 +87,8 @@ def read_surface(
     """
     place = Path(path)
     read = _reader_of(place)
-    options = ReadOptions(
-        place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop
-    )
+    says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z, table=table)
+    options = ReadOptions(place.name, says, progress, should_stop)
     _require_file(place, options)
     damaged = options.refuse("cannot be read, it is damaged: copy it again.")
     # numbers beyond the range of heights are invalid

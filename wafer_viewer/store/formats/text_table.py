@@ -1,4 +1,4 @@
-"""CSV and XYZ: one line of text per measured pixel, after header lines that begin with #."""
+"""Surfaces as text: points, one line each, after header lines; or a matrix of heights, one line a row."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +21,13 @@ from wafer_viewer.store.formats.reader_support import (
     provenance_of,
 )
 from wafer_viewer.store.formats.surface_strips import Strips
+from wafer_viewer.store.formats.text_lines import TextLayout, text_layout
+from wafer_viewer.store.formats.text_matrix import read_matrix, states_matrix
 
-_BYTES_AT_A_TIME = 16_000_000
-_LARGEST_HEADER = 16_000_000
 _LEAST_POINT_BYTES = 6
 """Bytes of the shortest line: three digits, two delimiters and the line feed."""
-_COLUMN = re.compile(r"^([a-z ]+?)(?:[_\s/]*[\[(]?\s*([a-zµμ]+)\s*[\])]?)?$", re.IGNORECASE)
+_COLUMN = re.compile(r"^([a-z ]+?)(?:[_\s/]*(?:in\s+)?[\[(]?\s*([a-zµμ]+)\s*[\])]?)?$", re.IGNORECASE)
 _AXES = {"x": "x", "y": "y", "z": "z", "height": "z", "depth": "depth", "origin": "origin"}
-_DELIMITERS = (",", ";", "\t", " ")
 
 
 def write_csv(strips: Strips, path: Path) -> None:
@@ -43,11 +41,20 @@ def write_xyz(strips: Strips, path: Path) -> None:
 
 
 def read_table(path: Path, options: ReadOptions) -> HeightMap:
-    """Read the surface sampled by the points of a table; x, y, z by name or as the first three columns."""
-    head = _head(path, options)
-    most_points = path.stat().st_size // _LEAST_POINT_BYTES
+    """Read a surface as text: points by the columns x, y and z, or a matrix of heights, a line a row.
+
+    Raises DatasetError where neither is sure.
+    """
+    layout = text_layout(path, options, _is_names)
+    head = _head(layout, options)
+    if head is None:
+        return read_matrix(layout, options)
     points = PointCloud(
-        lambda: _blocks(path, head, options), _units(head, options), head.about, head.provenance, most_points
+        lambda: _blocks(layout, head, options),
+        _units(head, options),
+        head.about,
+        head.provenance,
+        path.stat().st_size // _LEAST_POINT_BYTES,
     )
     return surface_of_points(points, options)
 
@@ -77,55 +84,85 @@ def _line(part: HeightMap, row: int, xs: list[str], y: str, before_origin: str) 
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """Column indices by quantity, their units, and the delimiter."""
+    """Column indices by quantity, and their units."""
 
     columns: dict[str, int]
     units: dict[str, str]
-    delimiter: str
     about: EmbeddedMetadata | None
     provenance: Provenance | None
-    begin: int
 
 
-def _head(path: Path, options: ReadOptions) -> _Head:
-    parts, texts, begin = defaultdict[str, list[str]](list), list[str](), 0
-    with path.open("rb") as file:
-        while begin < _LARGEST_HEADER and (raw := file.readline(_LARGEST_HEADER)):
-            line = raw.decode("utf-8-sig" if begin == 0 else "utf-8", "replace").strip()
-            if line and not line.startswith("#"):
-                break
-            begin += len(raw)
-            name, _, value = line.lstrip("# ").partition(":")
-            parts[name.strip().lower()].append(value.strip())
-            texts += [] if name.strip() == OURS else [line]
-        else:
-            raise options.refuse("holds no points: give a table with the columns x, y and z.")
+def _head(layout: TextLayout, options: ReadOptions) -> _Head | None:
+    """Return the columns of points; None for a matrix."""
+    parts, texts = defaultdict[str, list[str]](list), list[str]()
+    for line in layout.comments:
+        name, _, value = line.partition(":")
+        parts[name.strip().lower()].append(value.strip())
+        texts += [] if name.strip() == OURS else [line]
     comments = {name: "".join(values) for name, values in parts.items()}
-    delimiter = next((d for d in _DELIMITERS if d in line), " ")
-    cells = line.split(delimiter if delimiter != " " else None)
-    columns, units = _names(cells, options)
-    begin += 0 if _is_number(cells[0]) else len(raw)
+    about = parse_metadata(embedded := comments.get(OURS.lower()))
+    named = next((line for line in (*layout.header[-1:], "") if _is_names(line)), "")
+    if about is None and not named and _is_matrix(layout, options):
+        return None
+    columns, units = _names(_cells_of_names(named), layout.n_columns, options)
     if (unit := comments.get("unit")) is not None:
         _require_consistent_units(units, unit, options)
         units = units or dict.fromkeys("xyz", unit)
-    about = parse_metadata(embedded := comments.get(OURS.lower()))
-    return _Head(columns, units, delimiter, about, provenance_of(about, embedded, *texts), begin)
+    return _Head(columns, units, about, provenance_of(about, embedded, *texts))
 
 
-def _names(cells: list[str], options: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
+_FEWEST_FOR_MATRIX = 16
+"""Columns without names that are certainly no points with colours, normals and the like."""
+_LONGEST_MATRIX = 50
+"""Rows for one column of a matrix, at most; points have more."""
+
+
+def _is_matrix(layout: TextLayout, options: ReadOptions) -> bool:
+    """Return whether columns without names are rows of heights. Raises DatasetError if they may be points, too."""
+    n_columns, wanted = layout.n_columns, options.overrides.table
+    if wanted is not None or n_columns >= _FEWEST_FOR_MATRIX or states_matrix(layout):
+        return wanted != "points"
+    if n_columns <= len("xyz") or layout.path.suffix.lower() == ".xyz":
+        return False
+    n_lines = layout.path.stat().st_size / max(1.0, float(np.mean([len(line) for line in layout.sample])))
+    x, y = layout.numbers(list(layout.sample), [0, 1], options).T
+    repeats = max(len(x) / len(np.unique(x)), len(y) / len(np.unique(y)))
+    if n_lines > _LONGEST_MATRIX * n_columns or (repeats >= 2 and len(set(zip(x, y, strict=True))) == len(x)):
+        raise options.refuse(
+            f"has {n_columns} columns without names: name three of them x_um, y_um and z_um if its lines are points, "
+            "or give --table matrix if they are rows of heights."
+        )
+    return True
+
+
+def _is_names(line: str) -> bool:
+    """Return whether a line names columns of coordinates."""
+    return len({"x", "y", "z", "depth"}.intersection(axis for axis, _ in map(_axis, _cells_of_names(line)))) >= 2
+
+
+def _cells_of_names(line: str) -> list[str]:
+    cells = re.split(r"[,;\t]", line.strip().lstrip("# "))
+    return cells if len(cells) > 1 else cells[0].split()
+
+
+def _axis(cell: str) -> tuple[str, str]:
+    """Return the quantity and the unit of a column by its name, empty if it is another."""
+    match = _COLUMN.match(cell.strip().strip('"').strip())
+    axis = _AXES.get(match[1].strip().lower(), "") if match else ""
+    return axis, (match[2] or "") if match and axis else ""
+
+
+def _names(cells: list[str], n_columns: int, options: ReadOptions) -> tuple[dict[str, int], dict[str, str]]:
     """Return columns and units from the line of names; the first three columns without one."""
-    if _is_number(cells[0]):
-        if len(cells) < 3:
+    if not cells:
+        if n_columns < len("xyz"):
             raise options.refuse("has fewer than three columns: give a table with x, y and z.")
         return {"x": 0, "y": 1, "z": 2}, {}
     columns, units = dict[str, int](), dict[str, str]()
     for index, cell in enumerate(cells):
-        match = _COLUMN.match(cell.strip().strip('"').strip())
-        axis = _AXES.get(match[1].strip().lower()) if match else None
-        if match and axis and axis not in columns:
-            columns[axis] = index
-            if match[2]:
-                units[axis] = match[2]
+        axis, unit = _axis(cell)
+        if axis and axis not in columns:
+            columns[axis], units[axis] = index, unit
     if "depth" in columns and "z" not in columns:
         options.require_heights_up("depth")
         columns["z"], units["z"] = columns.pop("depth"), units.get("depth", "")
@@ -152,29 +189,7 @@ def _require_consistent_units(units: dict[str, str], named_unit: str, options: R
             raise options.refuse(f"states the unit {named_unit}, but its {axis} is in {unit}: correct the wrong one.")
 
 
-def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:
-    n_bytes = path.stat().st_size - head.begin
+def _blocks(layout: TextLayout, head: _Head, options: ReadOptions) -> Iterator[Block]:
     wanted = {axis: head.columns[axis] for axis in ("x", "y", "z", "origin") if axis in head.columns}
-    starts = list(range(0, n_bytes, _BYTES_AT_A_TIME))
-    with path.open("rb") as file:
-        file.seek(head.begin)
-        for _ in options.watch(starts):
-            lines = file.readlines(_BYTES_AT_A_TIME)
-            try:
-                numbers = np.loadtxt(
-                    chain(lines),
-                    delimiter=None if head.delimiter == " " else head.delimiter,
-                    usecols=list(wanted.values()),
-                    ndmin=2,
-                )
-            except ValueError as fault:
-                raise options.refuse("has lines without numbers in the columns x, y and z: take them out.") from fault
-            yield {axis: numbers[:, index] for index, axis in enumerate(wanted)}
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    for numbers in layout.blocks(list(wanted.values()), options):
+        yield {axis: numbers[:, index] for index, axis in enumerate(wanted)}
