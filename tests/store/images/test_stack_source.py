@@ -257,3 +257,17 @@ def test_unknown_exposures_stay_unknown_and_changing_ones_are_noted(tmp_path):
     assert not import_dataset(ome(tmp_path / "a.ome.tif"), tmp_path / "a.wafer").scan.plan.exposures_are_known
     notes = open_stack(timed(tmp_path / "b.ome.tif", [12] * 5 + [24])).notes
     assert any("exposure time changes from 12000 to 24000 us" in note for note in notes)
+
+
+@pytest.mark.parametrize("places", [None, [(0, 0), (0, 0)]])
+def test_positions_without_distinct_places_are_asked_for(tmp_path, places):
+    path = tmp_path / "p.ome.tif"
+    with tifffile.TiffWriter(path, ome=True) as file:
+        for n in range(2):
+            lengths = {**LENGTHS, "PhysicalSizeX": PIXEL_UM * (n + 1), "PhysicalSizeY": PIXEL_UM * (n + 1)}
+            if places:
+                lengths = LENGTHS | {"Plane": {"PositionX": [places[n][0]] * N, "PositionY": [places[n][1]] * N}}
+            file.write(images(seed=n), metadata={"axes": "ZYX", "Name": f"Pos{n}", **lengths})
+    with pytest.raises(DatasetError, match="contradict" if not places else r"same place\. Choose one .*: Pos0, Pos1"):
+        import_dataset(path, tmp_path / "a.wafer")
+    assert open_stack(path, position="Pos1").pixel_um == pytest.approx(PIXEL_UM * (1 if places else 2))

@@ -105,16 +105,17 @@ def read_source(src: Paths, options: ImageOptions) -> StackSource:
     order_is_stated = len({plane.path for plane in planes}) == 1 or (
         not named_z and all(plane.z_um is not None for plane in planes)
     )
-    says = merged_statements(planes, options)
+    chosen = planes if named else _chosen(planes, options)
+    says = merged_statements(chosen, options)
     aperture = _agreed("numerical aperture", "", "--na", options.numerical_aperture, says.numerical_aperture, options)
     if named:
-        notes = list[str]()
         fields, step, more = _fields_by_cell(named, says, options)
     else:
-        chosen, notes = _chosen(planes, options)
         fields, step, more = _fields(chosen, order, says, options)
     pixel = _pixel_um(says, options)
     fields = _in_their_places(fields, pixel.value, options)
+    if not named:
+        _require_places(fields, pixel.value)
     exposures_us, of_exposures = _exposures_us(fields)
     return StackSource(
         fields=fields,
@@ -126,7 +127,7 @@ def read_source(src: Paths, options: ImageOptions) -> StackSource:
         taken="" if says.taken is None else says.taken.value,
         simulated=any(plane.simulated for plane in planes),
         order_is_stated=options.as_listed or order_is_stated,
-        notes=(*order.notes, *says.notes, *notes, *more, *of_exposures, *_sources(pixel, step)),
+        notes=(*order.notes, *says.notes, *more, *of_exposures, *_sources(pixel, step)),
     )
 
 
@@ -295,11 +296,28 @@ def _sources(pixel: Stated[float], step: Stated[float]) -> Iterator[str]:
 # --- choices
 
 
-def _chosen(planes: list[ImagePlane], options: ImageOptions) -> tuple[list[ImagePlane], list[str]]:
-    """Return the planes of the chosen channel, time and position. Raises DatasetError where a choice is missing."""
-    for axis in ("channel", "time", "position"):
+def _chosen(planes: list[ImagePlane], options: ImageOptions) -> list[ImagePlane]:
+    """Return the planes of the chosen channel, time and position. Raises DatasetError where a choice is missing.
+
+    The position is first, as those of a file may have other channels and times each.
+    """
+    for axis in ("position", "channel", "time"):
         planes = _on_axis(planes, axis, getattr(options, axis), needed=axis != "position")
-    return planes, []
+    return planes
+
+
+def _require_places(fields: Sequence[SourceField], pixel_um: float) -> None:
+    """Raise DatasetError when several positions do not say where they lie, or two lie at the same place."""
+    places: dict[tuple[int, int], str] = {}
+    for field in fields if len(fields) > 1 else ():
+        shown = ", ".join(one.name for one in fields[:8]) + (" ..." if len(fields) > 8 else "")
+        choose = f"Choose one with --position: {shown}."
+        if field.x_um is None or field.y_um is None:
+            raise DatasetError(f"The images have {len(fields)} positions and do not say where these lie. {choose}")
+        at = round(field.x_um / pixel_um), round(field.y_um / pixel_um)
+        if at in places:
+            raise DatasetError(f"The positions {places[at]} and {field.name} lie at the same place. {choose}")
+        places[at] = field.name
 
 
 def _on_axis(planes: list[ImagePlane], axis: str, choice: str | None, *, needed: bool) -> list[ImagePlane]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ from wafer_viewer.store.images.image_files import (
     read_page,
     states_simulated,
 )
+from wafer_viewer.store.images.image_series import Axes, Place, Series, plane_at
 from wafer_viewer.store.io.guarded_reading import MEND, MOST_PAGES, limit, opened_tiff, require_pixels, tiff_page
 
 if TYPE_CHECKING:
@@ -47,32 +48,6 @@ _UNITS_UM = {
 _TIMES_US = {"s": 1e6, "ms": 1e3, "µs": 1.0, "μs": 1.0, "us": 1.0, "ns": 1e-3, "min": 6e7}
 _MICRO_MANAGER = 51123
 """TIFF tag of Micro-Manager with the words on each page, as JSON."""
-_POSITION_AXES, _Z_AXES = "RPMV", "ZQI"
-"""Letters of tifffile's axes for places of the stage, and for planes: Q and I are pages of which nothing is said."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Place of a plane on the axes of its file, as numbers from 0, and what is said of that plane alone."""
-
-    position: int = 0
-    channel: int = 0
-    time: int = 0
-    k: int = 0
-    words: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Series:
-    """One image of a file: names of its positions, channels and times where it has several, and common statements."""
-
-    says: Statements
-    position: str = ""
-    channels: Sequence[str] = ()
-    planes: Mapping[tuple[int, int, int], Mapping[str, float]] | None = None
-    """z_um, x_um, y_um, exposure_us and time_us by (k, channel, time), as far as stated."""
-    exposures: bool = False
-    """True if the channels are exposures of the same slots."""
 
 
 def planes_of_tiff(path: Path) -> tuple[ImagePlane, ...]:
@@ -159,97 +134,55 @@ def _planes(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
         yield from _of_series(path, file, number, one, replace(words, position=position))
 
 
-def _worded_series(file: TiffFile) -> list[tuple[TiffPageSeries, _Series]] | None:
+def _worded_series(file: TiffFile) -> list[tuple[TiffPageSeries, Series]] | None:
     """Return the series of a file whose program says what their axes are, else None."""
     if file.is_ome and (words := _ome_words(file)) is not None:
         return list(zip(file.series, words, strict=False)) if len(words) == len(file.series) else None
     if file.is_imagej:
-        return [(file.series[0], _Series(_imagej_statements(file)))]
+        return [(file.series[0], Series(_imagej_statements(file)))]
     if file.is_lsm:
-        return [(file.series[0], _Series(_lsm_statements(file)))]
+        return [(file.series[0], Series(_lsm_statements(file)))]
     if file.is_stk:
-        return [(file.series[0], _Series(_stk_statements(file)))]
+        return [(file.series[0], Series(_stk_statements(file)))]
     if file.is_shaped and len(file.series) == 1 and set(file.series[0].axes) & {"Z", "C", "T"}:
-        return [(file.series[0], _Series(Statements()))]
+        return [(file.series[0], Series(Statements()))]
     return None
 
 
 def _of_pages(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
     """Yield the pages of a file of which nothing is said, as planes along z."""
-    n_pages = len(file.pages)
-    for page in range(n_pages):
-        yield _plane(path, page, n_pages, _Place(k=page), _Series(Statements()))
+    for page in range(len(file.pages)):
+        yield _plane(path, page, len(file.pages), Place(k=page), Series(Statements()))
 
 
-def _of_series(path: Path, file: TiffFile, number: int, series: TiffPageSeries, words: _Series) -> Iterator[ImagePlane]:
+def _of_series(path: Path, file: TiffFile, number: int, series: TiffPageSeries, words: Series) -> Iterator[ImagePlane]:
     """Yield the planes of one series; of exposures the channel is no axis."""
-    axes = [axis for axis in series.axes if axis not in "YXS"]
-    sizes = [size for axis, size in zip(series.axes, series.shape, strict=True) if axis not in "YXS"]
-    n_planes = math.prod(sizes)
-    z_axes = [axis for axis in axes if axis in _Z_AXES]
-    stand_in = None if z_axes else _axis_taken_as_z(dict(zip(axes, sizes, strict=True)))
+    axes = Axes({axis: size for axis, size in zip(series.axes, series.shape, strict=True) if axis not in "YXS"})
+    n_planes = math.prod(axes.sizes.values())
     pages = list(series.pages)
     contiguous = len(pages) != n_planes
     if contiguous and series.dataoffset is None:
         raise ValueError("its pages do not fit its axes")
-    for plane, at in enumerate(np.ndindex(*sizes)):
-        where = dict(zip(axes, at, strict=True))
-        k = next((where[axis] for axis in axes if axis in _Z_AXES), where.get(stand_in or "", 0))
-        place = _Place(
-            position=next((where[axis] for axis in axes if axis in _POSITION_AXES), 0),
-            channel=0 if stand_in == "C" else where.get("C", 0),
-            time=0 if stand_in == "T" else where.get("T", 0),
-            k=int(k),
-        )
-        several = frozenset(axis for axis, size in zip(axes, sizes, strict=True) if size > 1 and axis != stand_in)
+    for plane, (_, place) in enumerate(axes.places()):
         if contiguous:
             read = partial(_read_contiguous, path, number, plane, n_planes)
-            yield _plane(path, plane, n_planes, place, words, several, read)
+            yield _plane(path, plane, n_planes, place, words, axes.several, read)
         elif (page := pages[plane]) is not None:
             source = Path(page.parent.filehandle.path)
-            yield _plane(source, page.index, len(page.parent.pages), place, words, several)
-
-
-def _axis_taken_as_z(sizes: Mapping[str, int]) -> str | None:
-    """Return the axis that stands for z in a file without one: its times, or more channels than colours."""
-    if sizes.get("T", 1) >= _FEWEST:
-        return "T"
-    return "C" if sizes.get("C", 1) > _MOST_COLOURS else None
-
-
-_FEWEST, _MOST_COLOURS = 3, 4
+            yield _plane(source, page.index, len(page.parent.pages), place, words, axes.several)
 
 
 def _plane(
     path: Path,
     page: int,
     n_pages: int,
-    place: _Place,
-    words: _Series,
+    place: Place,
+    words: Series,
     several: frozenset[str] = frozenset(),
     read: Callable[[], Image] | None = None,
 ) -> ImagePlane:
     name = path.name if n_pages == 1 else f"{path.name}, page {page + 1}"
-    own = (words.planes or {}).get((place.k, place.channel, place.time), {})
-    position = f"position {place.position}" if several & set(_POSITION_AXES) else words.position
-    named = words.channels[place.channel] if place.channel < len(words.channels) else f"channel {place.channel}"
-    return ImagePlane(
-        name=name,
-        path=path,
-        page=page,
-        read=read or partial(read_page, path, page, name),
-        position=position,
-        channel=named if "C" in several and not words.exposures else "",
-        time=f"time {place.time}" if "T" in several else "",
-        exposure=place.channel if words.exposures else 0,
-        k=place.k,
-        z_um=own.get("z_um"),
-        x_um=own.get("x_um"),
-        y_um=own.get("y_um"),
-        exposure_us=own.get("exposure_us"),
-        time_us=own.get("time_us"),
-        says=words.says,
-    )
+    return plane_at(place, words, several, name, path, page, read or partial(read_page, path, page, name))
 
 
 def _read_contiguous(path: Path, series: int, plane: int, n_planes: int) -> Image:
@@ -283,7 +216,7 @@ def _stated(value: float | None, source: str) -> Stated[float] | None:
 # --- OME
 
 
-def _ome_words(file: TiffFile) -> list[_Series] | None:
+def _ome_words(file: TiffFile) -> list[Series] | None:
     """Return what the OME-XML says of each image; None if it is no OME-XML."""
     text = file.ome_metadata or ""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -294,7 +227,7 @@ def _ome_words(file: TiffFile) -> list[_Series] | None:
         return None
     ours = root.get("Creator", "").startswith("Wafer Viewer")
     objectives = {one.get("ID", ""): one for one in root.iterfind(".//{*}Objective")}
-    words: list[_Series] = []
+    words: list[Series] = []
     for image in root.iterfind("{*}Image"):
         pixels = image.find("{*}Pixels")
         if pixels is None:
@@ -305,11 +238,11 @@ def _ome_words(file: TiffFile) -> list[_Series] | None:
             objective = next(iter(objectives.values()))
         channels = [channel.get("Name") or f"channel {n}" for n, channel in enumerate(pixels.iterfind("{*}Channel"))]
         words.append(
-            _Series(
+            Series(
                 _ome_statements(image, pixels, objective),
                 image.get("Name", ""),
                 channels,
-                dict(_ome_planes(image, pixels)),
+                partial(_own_of_ome, dict(_ome_planes(image, pixels))),
                 exposures=ours,
             )
         )
@@ -348,6 +281,10 @@ def _ome_planes(
             if unit is not None and value is not None:
                 own[name] = value * unit
         yield (int(plane.get("TheZ", 0)), int(plane.get("TheC", 0)), int(plane.get("TheT", 0))), own
+
+
+def _own_of_ome(by_place: Mapping[tuple[int, int, int], dict[str, float]], place: Place) -> dict[str, float]:
+    return by_place.get((place.k, place.channel, place.time), {})
 
 
 def _ome_place(element: ElementTree.Element, name: str, without: str = "") -> dict[str, float]:
