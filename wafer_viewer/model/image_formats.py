@@ -7,21 +7,27 @@ from dataclasses import dataclass
 from wafer_viewer.model.surface_format import Function
 
 _IMAGES = "wafer_viewer.store.images"
+EXTRA = "wafer-viewer[images]"
+"""Extra with the libraries of image formats."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageFormat:
     """Image file format. Page, command line and Python API read its fields.
 
-    suffixes: lower-case suffixes with their dot. title: as in "it is a Zeiss CZI".
+    suffixes: lower-case suffixes with their dot. title: as in "it is a Zeiss CZI file".
     planes: ``planes(path)`` returns the file's `ImagePlane` objects, or its path ``package.module:function``; None for
     a format that is not read.
+    library: module that reads it, of the extra `EXTRA`; empty if the program itself does.
+    states: what is read of the statements of such files, for the documentation.
     mend: what to do about a file that is not read, as an imperative.
     """
 
     suffixes: tuple[str, ...]
     title: str
     planes: Function | None = None
+    library: str = ""
+    states: str = ""
     mend: str = "export it as OME-TIFF"
 
 
@@ -41,10 +47,28 @@ IMAGE_FORMATS = (
             ((".webp",), "WebP"),
         )
     ),
-    ImageFormat(suffixes=(".czi",), title="Zeiss CZI"),
-    ImageFormat(suffixes=(".nd2",), title="Nikon ND2"),
-    ImageFormat(suffixes=(".lif", ".lof", ".xlef"), title="Leica LIF"),
-    ImageFormat(suffixes=(".oir", ".oib", ".oif", ".vsi"), title="Evident (Olympus) image"),
+    ImageFormat(
+        suffixes=(".czi",),
+        title="Zeiss CZI file",
+        planes=f"{_IMAGES}.microscope_files:planes_of_czi",
+        library="pylibCZIrw",
+    ),
+    ImageFormat(
+        suffixes=(".nd2",), title="Nikon ND2 file", planes=f"{_IMAGES}.microscope_files:planes_of_nd2", library="nd2"
+    ),
+    ImageFormat(
+        suffixes=(".lif", ".lof", ".xlef"),
+        title="Leica LIF file",
+        planes=f"{_IMAGES}.microscope_files:planes_of_lif",
+        library="liffile",
+    ),
+    ImageFormat(
+        suffixes=(".oib", ".oif"),
+        title="Olympus OIB file",
+        planes=f"{_IMAGES}.microscope_files:planes_of_oif",
+        library="oiffile",
+    ),
+    ImageFormat(suffixes=(".oir", ".vsi"), title="Evident (Olympus) file"),
     ImageFormat(suffixes=(".ims",), title="Imaris file"),
     ImageFormat(suffixes=(".dv", ".mrc"), title="DeltaVision or MRC file"),
     ImageFormat(
@@ -73,5 +97,13 @@ def why_not_read(name: str, suffix: str) -> str:
     kind = BY_SUFFIX.get(suffix.lower())
     if kind is None:
         return f"{name} is not an image: take one of {', '.join(READ)}."
-    article = "an" if kind.title[0] in "AEIO" else "a"
-    return f"{name} is {article} {kind.title}, which is not read: {kind.mend}."
+    return f"{name} is {_a(kind)}, which is not read: {kind.mend}."
+
+
+def needs_library(name: str, kind: ImageFormat) -> str:
+    """Return what to install to read a file whose library is missing."""
+    return f"{name} is {_a(kind)}: pip install '{EXTRA}' to read it."
+
+
+def _a(kind: ImageFormat) -> str:
+    return f"{'an' if kind.title[0] in 'AEIO' else 'a'} {kind.title}"

@@ -89,7 +89,10 @@ def test_given_length_that_contradicts_a_file_is_refused_with_both(tmp_path, nam
         open_stack(path, z_step_um=3.0)
     with pytest.raises(DatasetError, match=r"pixel size is given as 0.5 um, and the images say 0.65 um"):
         open_stack(path, pixel_um=0.5)
-    assert open_stack(path, z_step_um=3.0, pixel_um=0.5, overrule=True).pixel_um == 0.5
+    overruled = open_stack(path, z_step_um=3.0, pixel_um=0.5, overrule=True)
+    assert overruled.pixel_um == 0.5
+    np.testing.assert_allclose(overruled.z_um, 3.0 * np.arange(N))
+    np.testing.assert_array_equal(open_stack(path, z_step_um=-3.0, overrule=True).images, images()[::-1])
     assert len(open_stack(path, **GIVEN).images) == N
 
 
@@ -172,7 +175,7 @@ def test_images_are_read_as_they_are_shown(tmp_path, orientation, ending):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("a.czi", "Zeiss CZI"), ("a.nd2", "Nikon ND2"), ("a.mp4", "video"), ("a.heic", "compressed image")],
+    [("a.oir", "Evident"), ("a.ims", "Imaris"), ("a.heic", "compressed image")],
 )
 def test_file_of_a_kind_that_is_not_read_is_named(tmp_path, name, kind, capsys):
     (tmp_path / name).write_bytes(bytes(64))

@@ -170,7 +170,7 @@ USUAL_APERTURE, LARGEST_APERTURE = 0.28, 0.95
 """Numerical apertures in air: of the 10x objective of the paper, and of the strongest ones."""
 
 _DIGEST = re.compile(r"[0-9a-f]{64}")
-_ENGRAVED = re.compile(r"(?:\d\s*[xX×]?\s*/|\bNA)\s*([01]\.\d+)")
+_ENGRAVED = re.compile(r"(?:\d\s*[xX×]?\s*/|\bNA:?)\s*([01]\.\d+)")
 
 
 def depth_of_field_um(numerical_aperture: float, pixel_um: float, wavelength_um: float = WAVELENGTH_UM) -> float:

@@ -6,6 +6,7 @@ sorted in natural order: 2 before 10.
 
 from __future__ import annotations
 
+import importlib
 import io
 import re
 import struct
@@ -20,11 +21,12 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import ImagePlane
 from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
-from wafer_viewer.model.image_formats import BY_SUFFIX, READ, why_not_read
+from wafer_viewer.model.image_formats import BY_SUFFIX, READ, needs_library, why_not_read
 from wafer_viewer.model.surface_format import imported
 from wafer_viewer.store.io.atomic_files import natural_sort_key, os_errors_as_dataset_errors, size
 from wafer_viewer.store.io.guarded_reading import (
     MEND,
+    MOST_PAGES,
     limit,
     opened_tiff,
     read_content,
@@ -63,6 +65,11 @@ def planes_of(path: Path) -> tuple[ImagePlane, ...]:
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None or kind.planes is None:
         raise DatasetError(f"{why_not_read(path.name, path.suffix)} {NOTHING_WRITTEN}")
+    if kind.library:
+        try:
+            importlib.import_module(kind.library)
+        except ImportError as fault:
+            raise DatasetError(f"{needs_library(path.name, kind)} {NOTHING_WRITTEN}") from fault
     return imported(kind.planes)(path)
 
 
@@ -72,6 +79,15 @@ def damaged(name: str, fault: Exception | None = None) -> DatasetError:
     return DatasetError(
         f"Import stopped at {name}: it is damaged, or not an image{why}. {NOTHING_WRITTEN} Remove it or copy it again."
     )
+
+
+def require_planes(name: str, n_planes: int) -> None:
+    """Raise DatasetError when a file has more pages or planes than the limit."""
+    if n_planes > limit(MOST_PAGES):
+        raise DatasetError(
+            f"Import stopped at {name}: it has {n_planes} pages, more than {limit(MOST_PAGES)}. {NOTHING_WRITTEN} "
+            f"Split it, or {MEND}."
+        )
 
 
 def _files_in(folder: Path) -> list[Path]:

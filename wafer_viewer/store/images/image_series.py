@@ -6,6 +6,7 @@ read.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +16,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import ImagePlane, Statements
+from wafer_viewer.store.images.image_files import require_planes
 
 POSITION_AXES, Z_AXES = "RPMV", "ZQI"
 """Letters of axes for places of the stage, and for planes: Q and I are pages of which nothing is said."""
@@ -55,9 +57,13 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Axes of an image without those of its pixels, in the order of its planes."""
+    """Axes of an image without those of its pixels, in the order of its planes.
+
+    channels_are_stated: False if an axis C may be any that its program had no name for.
+    """
 
     sizes: Mapping[str, int]
+    channels_are_stated: bool = False
 
     @property
     def several(self) -> frozenset[str]:
@@ -67,11 +73,11 @@ class Axes:
     @property
     def _taken_as_z(self) -> str | None:
         """Axis that stands for z in a file without one: its times, or more channels than colours."""
-        if set(self.sizes) & set(Z_AXES):
+        if any(self.sizes.get(axis, 1) > 1 for axis in Z_AXES):
             return None
         if self.sizes.get("T", 1) >= _FEWEST:
             return "T"
-        return "C" if self.sizes.get("C", 1) > _MOST_COLOURS else None
+        return "C" if self.sizes.get("C", 1) > _MOST_COLOURS and not self.channels_are_stated else None
 
     def places(self) -> Iterator[tuple[Where, Place]]:
         """Yield all planes in the order of the axes, the last one changing fastest."""
@@ -84,7 +90,7 @@ class Axes:
                     position=next((where[axis] for axis in where if axis in POSITION_AXES), 0),
                     channel=0 if stand_in == "C" else where.get("C", 0),
                     time=0 if stand_in == "T" else where.get("T", 0),
-                    k=next((where[axis] for axis in where if axis in Z_AXES), where.get(stand_in or "", 0)),
+                    k=where[stand_in] if stand_in else next((where[axis] for axis in where if axis in Z_AXES), 0),
                 ),
             )
 
@@ -130,7 +136,8 @@ def planes_in(
     read: returns the plane at a place on the axes; its first argument is the name of the plane. first: number of planes
     of the images before it.
     """
-    axes = Axes(sizes)
+    axes = Axes(sizes, channels_are_stated=True)
+    require_planes(path.name, math.prod(sizes.values()))
     for n, (where, place) in enumerate(axes.places(), first):
         at = (f"{_TITLES.get(axis, axis)} {where[axis]}" for axis in where if sizes[axis] > 1)
         name = ", ".join(filter(None, (path.name, series.position, *at)))

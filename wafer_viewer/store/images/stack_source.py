@@ -350,6 +350,9 @@ def _fields(
     by_field = _grouped(planes, lambda plane: plane.position)
     z_source = "names of the files" if order.z_um is not None else "positions of the planes"
     step, notes = _step(by_field, says, z_source, options)
+    if step.source == "given" and options.overrule:
+        by_field = {name: [replace(plane, z_um=None) for plane in own] for name, own in by_field.items()}
+        planes = []
     down = step.value < 0
     lowest = min((plane.z_um for plane in planes if plane.z_um is not None), default=0.0)
     fields = tuple(_field(name, own, abs(step.value), down, lowest) for name, own in by_field.items())
@@ -371,6 +374,12 @@ def _step(
     notes: list[str] = []
     if stated is not None and says.z_step_um is not None:
         known = says.z_step_um
+        ratio = abs(stated.value / known.value)
+        if not 1 / _LIKE_STEP < ratio < _LIKE_STEP and not options.overrule:
+            raise DatasetError(
+                f"The images contradict themselves: the planes lie {abs(stated.value):.4g} um apart ({stated.source}), "
+                f"and {known.source} is {abs(known.value):g} um. Give the right one with --z-step-um and --overrule."
+            )
         if not math.isclose(abs(stated.value), abs(known.value), rel_tol=_SAME_STEP):
             notes.append(
                 f"The planes lie {abs(stated.value):.4g} um apart ({stated.source}), and {known.source} is "
@@ -390,8 +399,9 @@ def _step(
     return agreed, notes
 
 
-_SAME_STEP = 0.02
-"""Relative difference of a mean step from a planned one: stages do not repeat their steps exactly."""
+_SAME_STEP, _LIKE_STEP = 0.02, 1.5
+"""Relative difference of a mean step from a planned one, as stages do not repeat their steps exactly; and the ratio
+from which one of them is wrong, as where a piezo drive takes the steps and the place of the stage is stated."""
 
 
 def _stated_step(by_field: Mapping[str, list[ImagePlane]], source: str) -> Stated[float] | None:

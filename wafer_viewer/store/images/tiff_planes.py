@@ -26,10 +26,11 @@ from wafer_viewer.store.images.image_files import (
     as_grey,
     damaged,
     read_page,
+    require_planes,
     states_simulated,
 )
 from wafer_viewer.store.images.image_series import Axes, Place, Series, plane_at
-from wafer_viewer.store.io.guarded_reading import MEND, MOST_PAGES, limit, opened_tiff, require_pixels, tiff_page
+from wafer_viewer.store.io.guarded_reading import opened_tiff, require_pixels, tiff_page
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPageSeries
@@ -56,7 +57,7 @@ def planes_of_tiff(path: Path) -> tuple[ImagePlane, ...]:
     Raises DatasetError when the file is damaged, or has more pages than the limit.
     """
     with parser_errors_as(partial(damaged, path.name)), opened_tiff(path) as file:
-        _require_pages(path, file)
+        require_planes(path.name, len(file.pages))
         if not len(file.pages):
             return ()
         by_imagej = str((file.imagej_metadata or {}).get("Info", ""))
@@ -110,14 +111,6 @@ def _float_values(plane: ImagePlane) -> NDArray[np.float64]:
                 f"{NOTHING_WRITTEN} Save it as a grey image."
             )
         return np.asarray(page.asarray(), np.float64)
-
-
-def _require_pages(path: Path, file: TiffFile) -> None:
-    if len(file.pages) > limit(MOST_PAGES):
-        raise DatasetError(
-            f"Import stopped at {path.name}: it has {len(file.pages)} pages, more than {limit(MOST_PAGES)}. "
-            f"{NOTHING_WRITTEN} Split it, or {MEND}."
-        )
 
 
 def _planes(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
