@@ -19,6 +19,7 @@ class ImageFormat:
     planes: ``planes(path)`` returns the file's `ImagePlane` objects, or its path ``package.module:function``; None for
     a format that is not read.
     library: module that reads it, of the extra `EXTRA`; empty if the program itself does.
+    marks: files, each of which makes a folder one image of this format.
     states: what is read of the statements of such files, for the documentation.
     mend: what to do about a file that is not read, as an imperative.
     """
@@ -27,16 +28,18 @@ class ImageFormat:
     title: str
     planes: Function | None = None
     library: str = ""
+    marks: tuple[str, ...] = ()
     states: str = ""
     mend: str = "export it as OME-TIFF"
 
 
+TIFF = ImageFormat(
+    suffixes=(".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk"),
+    title="TIFF",
+    planes=f"{_IMAGES}.tiff_planes:planes_of_tiff",
+)
 IMAGE_FORMATS = (
-    ImageFormat(
-        suffixes=(".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk"),
-        title="TIFF",
-        planes=f"{_IMAGES}.tiff_planes:planes_of_tiff",
-    ),
+    TIFF,
     *(
         ImageFormat(suffixes=suffixes, title=title, planes=f"{_IMAGES}.single_image:planes_of_image")
         for suffixes, title in (
@@ -72,21 +75,31 @@ IMAGE_FORMATS = (
     ImageFormat(suffixes=(".ims",), title="Imaris file"),
     ImageFormat(suffixes=(".dv", ".mrc"), title="DeltaVision or MRC file"),
     ImageFormat(
-        suffixes=(".mp4", ".avi", ".mov", ".mkv", ".wmv", ".webm"),
+        suffixes=(".mp4", ".avi", ".mov", ".mkv", ".wmv", ".webm", ".m4v"),
         title="video",
-        mend="write its frames as PNG, as in ffmpeg -i FILE frame_%04d.png",
+        planes=f"{_IMAGES}.camera_files:planes_of_video",
+        library="av",
     ),
     ImageFormat(
         suffixes=(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"),
         title="camera's raw file",
-        mend="develop it as 16-bit TIFF, with the same settings for all frames",
+        planes=f"{_IMAGES}.camera_files:planes_of_raw",
+        library="rawpy",
+    ),
+    ImageFormat(
+        suffixes=(".zarr",),
+        title="Zarr folder",
+        planes=f"{_IMAGES}.image_folders:planes_of_zarr",
+        marks=(".zattrs", ".zgroup", "zarr.json"),
+    ),
+    ImageFormat(
+        suffixes=(), title="NDTiff folder", planes=f"{_IMAGES}.image_folders:planes_of_ndtiff", marks=("NDTiff.index",)
     ),
     ImageFormat(
         suffixes=(".heic", ".heif", ".avif", ".jp2", ".jxl", ".gif"),
         title="compressed image of a kind",
         mend="save it as PNG or TIFF",
     ),
-    ImageFormat(suffixes=(".zarr",), title="Zarr folder"),
 )
 BY_SUFFIX = {suffix: one for one in IMAGE_FORMATS for suffix in one.suffixes}
 READ = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.planes is not None)

@@ -22,6 +22,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.file_formats import READ
+from wafer_viewer.model.image_formats import READ as IMAGE_ENDINGS
 from wafer_viewer.session.core.commands import query
 from wafer_viewer.session.session_restore import KEPT_IN
 
@@ -29,7 +30,6 @@ Order = Literal["date", "name", "size"]
 KindName = Literal[
     "dataset", "images", "plan", "job", "certificate", "klarf", "wafers", "surface", "study", "golden", "any"
 ]
-IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp")
 DATASET_ENDING = ".wafer"
 PAGE = 200
 """Number of entries listed at first; more are listed on request."""

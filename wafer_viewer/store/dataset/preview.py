@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
-from wafer_viewer.store.images.image_files import READERS, TIFF_ENDINGS, as_grey, damaged, image_files, webp_shape
+from wafer_viewer.model.image_formats import TIFF
+from wafer_viewer.store.images.image_files import (
+    READERS,
+    as_grey,
+    damaged,
+    format_of,
+    image_files,
+    planes_of,
+    webp_shape,
+)
 from wafer_viewer.store.io.guarded_reading import opened_tiff, tiff_page
 
 SIDE_PX = 96
@@ -48,14 +57,15 @@ def _image_of(path: Path) -> NDArray[Any] | None:
     if path.is_dir():
         files = image_files(path)
         path = files[len(files) // 2]
-    if not path.is_file():
-        return None
-    ending = path.suffix.lower()
-    if ending in TIFF_ENDINGS:
+    kind, ending = format_of(path), path.suffix.lower()
+    if kind is TIFF:
         return _middle_page(path)
-    if ending not in READERS or path.stat().st_size > MAX_FILE_BYTES or _n_pixels(path) > MAX_PIXELS:
+    if kind is None or kind.planes is None or path.stat().st_size > MAX_FILE_BYTES:
         return None
-    return as_grey(READERS[ending](path), path.name)
+    if ending in READERS:
+        return as_grey(READERS[ending](path), path.name) if _n_pixels(path) <= MAX_PIXELS else None
+    planes = planes_of(path)
+    return planes[len(planes) // 2].read()
 
 
 def _middle_page(path: Path) -> NDArray[Any] | None:

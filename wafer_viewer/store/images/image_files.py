@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import ImagePlane
 from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
-from wafer_viewer.model.image_formats import BY_SUFFIX, READ, needs_library, why_not_read
+from wafer_viewer.model.image_formats import BY_SUFFIX, IMAGE_FORMATS, READ, ImageFormat, needs_library, why_not_read
 from wafer_viewer.model.surface_format import imported
 from wafer_viewer.store.io.atomic_files import natural_sort_key, os_errors_as_dataset_errors, size
 from wafer_viewer.store.io.guarded_reading import (
@@ -37,7 +37,6 @@ from wafer_viewer.store.io.guarded_reading import (
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in luminance, ITU-R BT.709."""
 NOTHING_WRITTEN = "Nothing was written."
-TIFF_ENDINGS = (".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk")
 _PLAIN_PHOTOMETRICS = (1, 2, 6)
 """Grey with black 0, RGB, and YCbCr, which is decoded on reading: TIFF kinds whose values need no conversion."""
 Paths = str | Path | Sequence[str | Path]
@@ -48,13 +47,20 @@ def image_files(src: Paths) -> list[Path]:
     if not isinstance(src, str | Path):
         return [file for one in src for file in image_files(one)]
     path = Path(src)
-    if path.is_dir():
+    if path.is_dir() and format_of(path) is None:
         return _files_in(path)
     if not path.exists():
         raise DatasetError(f"Import stopped at {path}: it does not exist. {NOTHING_WRITTEN} Check the path.")
-    if path.suffix.lower() not in READ:
+    if (kind := format_of(path)) is None or kind.planes is None:
         raise DatasetError(f"{why_not_read(path.name, path.suffix)} {NOTHING_WRITTEN}")
     return [path]
+
+
+def format_of(path: Path) -> ImageFormat | None:
+    """Return the format of a file by its suffix, or of a folder that is one image; None if it is neither."""
+    if not path.is_dir():
+        return BY_SUFFIX.get(path.suffix.lower())
+    return next((one for one in IMAGE_FORMATS for mark in one.marks if (path / mark).is_file()), None)
 
 
 def planes_of(path: Path) -> tuple[ImagePlane, ...]:
@@ -62,7 +68,7 @@ def planes_of(path: Path) -> tuple[ImagePlane, ...]:
 
     Raises DatasetError when the file is damaged, or of a format that is not read.
     """
-    kind = BY_SUFFIX.get(path.suffix.lower())
+    kind = format_of(path)
     if kind is None or kind.planes is None:
         raise DatasetError(f"{why_not_read(path.name, path.suffix)} {NOTHING_WRITTEN}")
     if kind.library:
@@ -91,8 +97,8 @@ def require_planes(name: str, n_planes: int) -> None:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    found = sorted((p for p in folder.iterdir() if p.suffix.lower() in READ), key=lambda p: natural_sort_key(p.name))
-    visible = [p for p in found if not p.name.startswith(".")]
+    found = [path for path in folder.iterdir() if not path.name.startswith(".") and _is_read(path)]
+    visible = sorted(found, key=lambda path: natural_sort_key(path.name))
     if not visible:
         for path in sorted(folder.iterdir()):
             if path.suffix.lower() in BY_SUFFIX:
@@ -102,6 +108,11 @@ def _files_in(folder: Path) -> list[Path]:
             f"Give one with {', '.join(READ)} files."
         )
     return visible
+
+
+def _is_read(path: Path) -> bool:
+    kind = format_of(path)
+    return kind is not None and kind.planes is not None
 
 
 _TEXT_BYTES = 1 << 16

@@ -23,6 +23,18 @@ POSITION_AXES, Z_AXES = "RPMV", "ZQI"
 Where = Mapping[str, int]
 """Number of a plane on each axis of its file."""
 _FEWEST, _MOST_COLOURS = 3, 4
+UNITS_UM = {
+    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "micrometer", "micrometre", "\\u00B5m", "\\u00b5m"), 1.0),
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-3),
+    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1e3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre"), 1e4),
+    **dict.fromkeys(("m", "meter", "metre"), 1e6),
+    **dict.fromkeys(("in", "inch", "inches"), 25400.0),
+    "pm": 1e-6,
+    "Å": 1e-4,
+}
+"""Units of length as image files write them, in um; others, such as pixels, are no lengths."""
+TIMES_US = {"s": 1e6, "ms": 1e3, "µs": 1.0, "μs": 1.0, "us": 1.0, "ns": 1e-3, "min": 6e7}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,3 +157,21 @@ def planes_in(
 
 
 _TITLES = {"Z": "z", "C": "channel", "T": "time", **dict.fromkeys(POSITION_AXES, "position")}
+
+
+def length_um(value: object, unit: object) -> float | None:
+    """Return a stated length in um; None for what is no length, not finite or 0."""
+    try:
+        number, factor = float(str(value)), UNITS_UM.get(str(unit).strip())
+    except ValueError:
+        return None
+    return number * factor if factor is not None and math.isfinite(number) and number != 0 else None
+
+
+def stated_number(text: object) -> float | None:
+    """Return a number; None for what is none, or not finite."""
+    try:
+        number = float(str(text))
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

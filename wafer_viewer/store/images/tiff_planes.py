@@ -29,24 +29,21 @@ from wafer_viewer.store.images.image_files import (
     require_planes,
     states_simulated,
 )
-from wafer_viewer.store.images.image_series import Axes, Place, Series, plane_at
+from wafer_viewer.store.images.image_series import (
+    TIMES_US,
+    UNITS_UM,
+    Axes,
+    Place,
+    Series,
+    length_um,
+    plane_at,
+    stated_number,
+)
 from wafer_viewer.store.io.guarded_reading import opened_tiff, require_pixels, tiff_page
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPageSeries
 
-_UNITS_UM = {
-    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "micrometer", "micrometre", "\\u00B5m", "\\u00b5m"), 1.0),
-    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-3),
-    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1e3),
-    **dict.fromkeys(("cm", "centimeter", "centimetre"), 1e4),
-    **dict.fromkeys(("m", "meter", "metre"), 1e6),
-    **dict.fromkeys(("in", "inch", "inches"), 25400.0),
-    "pm": 1e-6,
-    "Å": 1e-4,
-}
-"""Units of length as image files write them, in um; others, such as pixels, are no lengths."""
-_TIMES_US = {"s": 1e6, "ms": 1e3, "µs": 1.0, "μs": 1.0, "us": 1.0, "ns": 1e-3, "min": 6e7}
 _MICRO_MANAGER = 51123
 """TIFF tag of Micro-Manager with the words on each page, as JSON."""
 
@@ -193,15 +190,6 @@ def _read_contiguous(path: Path, series: int, plane: int, n_planes: int) -> Imag
         return as_grey(values.reshape(one.keyframe.shape), name)
 
 
-def _length_um(value: object, unit: object) -> float | None:
-    """Return a stated length in um; None for what is no length, not finite or 0."""
-    try:
-        number, factor = float(str(value)), _UNITS_UM.get(str(unit).strip())
-    except ValueError:
-        return None
-    return number * factor if factor is not None and math.isfinite(number) and number != 0 else None
-
-
 def _stated(value: float | None, source: str) -> Stated[float] | None:
     return None if value is None else Stated(value, source)
 
@@ -247,7 +235,7 @@ def _ome_statements(
 ) -> Statements:
     def size(axis: str) -> Stated[float] | None:
         unit = pixels.get(f"PhysicalSize{axis}Unit", "µm")
-        return _stated(_length_um(pixels.get(f"PhysicalSize{axis}"), unit), f"OME PhysicalSize{axis}")
+        return _stated(length_um(pixels.get(f"PhysicalSize{axis}"), unit), f"OME PhysicalSize{axis}")
 
     aperture = None if objective is None else objective.get("LensNA")
     model = "" if objective is None else objective.get("Model") or ""
@@ -256,7 +244,7 @@ def _ome_statements(
         pixel_um=size("X"),
         pixel_y_um=size("Y"),
         z_step_um=size("Z"),
-        numerical_aperture=_stated(_number(aperture), "OME LensNA"),
+        numerical_aperture=_stated(stated_number(aperture), "OME LensNA"),
         objective=Stated(model, "OME Objective") if model else None,
         taken=Stated(taken, "OME AcquisitionDate") if taken else None,
     )
@@ -270,7 +258,7 @@ def _ome_planes(
     for plane in pixels.iterfind("{*}Plane"):
         own = common | _ome_place(plane, "Position{}")
         for name, attribute in (("exposure_us", "ExposureTime"), ("time_us", "DeltaT")):
-            unit, value = _TIMES_US.get(plane.get(f"{attribute}Unit", "s")), _number(plane.get(attribute))
+            unit, value = TIMES_US.get(plane.get(f"{attribute}Unit", "s")), stated_number(plane.get(attribute))
             if unit is not None and value is not None:
                 own[name] = value * unit
         yield (int(plane.get("TheZ", 0)), int(plane.get("TheC", 0)), int(plane.get("TheT", 0))), own
@@ -285,19 +273,11 @@ def _ome_place(element: ElementTree.Element, name: str, without: str = "") -> di
     found: dict[str, float] = {}
     for axis in "XYZ":
         attribute = name.format(axis)
-        factor = _UNITS_UM.get(element.get(f"{attribute}Unit", "µm"))
-        number = _number(element.get(attribute))
+        factor = UNITS_UM.get(element.get(f"{attribute}Unit", "µm"))
+        number = stated_number(element.get(attribute))
         if factor is not None and number is not None and f"{axis.lower()}_um" != without:
             found[f"{axis.lower()}_um"] = number * factor
     return found
-
-
-def _number(text: object) -> float | None:
-    try:
-        number = float(str(text))
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 # --- ImageJ, LSM, STK
@@ -311,7 +291,7 @@ def _imagej_statements(file: TiffFile) -> Statements:
     return Statements(
         pixel_um=_stated(along_x, "ImageJ resolution"),
         pixel_y_um=_stated(along_y, "ImageJ resolution"),
-        z_step_um=_stated(_length_um(words.get("spacing"), unit), "ImageJ spacing"),
+        z_step_um=_stated(length_um(words.get("spacing"), unit), "ImageJ spacing"),
     )
 
 
@@ -320,12 +300,12 @@ def _imagej_pixel_um(tag: Any, unit: str) -> float | None:
     if tag is None:
         return None
     count, length = tag.value
-    return _length_um(length / count, unit) if count else None
+    return length_um(length / count, unit) if count else None
 
 
 def _lsm_statements(file: TiffFile) -> Statements:
     words = file.lsm_metadata or {}
-    x, y, z = (_length_um(words.get(f"VoxelSize{axis}"), "m") for axis in "XYZ")
+    x, y, z = (length_um(words.get(f"VoxelSize{axis}"), "m") for axis in "XYZ")
     return Statements(
         pixel_um=_stated(x, "LSM VoxelSizeX"),
         pixel_y_um=_stated(y, "LSM VoxelSizeY"),
@@ -336,7 +316,7 @@ def _lsm_statements(file: TiffFile) -> Statements:
 def _stk_statements(file: TiffFile) -> Statements:
     words = file.stk_metadata or {}
     unit = str(words.get("CalibrationUnits", ""))
-    x, y = (_length_um(words.get(f"{axis}Calibration"), unit) for axis in "XY")
+    x, y = (length_um(words.get(f"{axis}Calibration"), unit) for axis in "XY")
     steps = np.ravel(np.asarray(words.get("ZDistance", ()), np.float64))
     step = float(steps[0]) if len(steps) and np.ptp(steps) == 0 and steps[0] != 0 else None
     return Statements(
@@ -364,14 +344,14 @@ def _of_micro_manager(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
     places = [tuple(_index(own, axis) for axis in axes) for own in words]
     names = [str(_first(own, "PositionName", default="")) for own in words]
     n_positions, n_channels, n_times, n_slices = (len({at[n] for at in places}) for n in range(4))
-    step = _number(_first(summary, "z-step_um", default=None)) if n_slices > 1 else None
+    step = stated_number(_first(summary, "z-step_um", default=None)) if n_slices > 1 else None
     for page, (own, at) in enumerate(zip(words, places, strict=True)):
-        pixel = _number(_first(own, "PixelSizeUm", "PixelSize_um", default=summary.get("PixelSize_um")))
+        pixel = stated_number(_first(own, "PixelSizeUm", "PixelSize_um", default=summary.get("PixelSize_um")))
         says = Statements(
             pixel_um=_stated(pixel or None, "Micro-Manager PixelSizeUm"),
             z_step_um=_stated(step or None, "Micro-Manager z-step_um"),
         )
-        exposure_ms, elapsed_ms = (_number(own.get(name)) for name in ("Exposure-ms", "ElapsedTime-ms"))
+        exposure_ms, elapsed_ms = (stated_number(own.get(name)) for name in ("Exposure-ms", "ElapsedTime-ms"))
         name = path.name if len(words) == 1 else f"{path.name}, page {page + 1}"
         yield ImagePlane(
             name=name,
@@ -382,9 +362,9 @@ def _of_micro_manager(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
             channel=str(_first(own, "Channel", default=f"channel {at[1]}")) if n_channels > 1 else "",
             time=f"time {at[2]}" if n_times > 1 else "",
             k=at[3],
-            z_um=_number(_first(own, "ZPositionUm", default=None)),
-            x_um=_number(_first(own, "XPositionUm", default=None)),
-            y_um=_number(_first(own, "YPositionUm", default=None)),
+            z_um=stated_number(_first(own, "ZPositionUm", default=None)),
+            x_um=stated_number(_first(own, "XPositionUm", default=None)),
+            y_um=stated_number(_first(own, "YPositionUm", default=None)),
             exposure_us=None if exposure_ms is None else 1e3 * exposure_ms,
             time_us=None if elapsed_ms is None else 1e3 * elapsed_ms,
             says=says,
