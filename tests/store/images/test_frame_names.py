@@ -119,3 +119,30 @@ REFUSED = {
 def test_order_that_names_leave_open_is_refused(tmp_path, names, sentence):
     with pytest.raises(DatasetError, match=sentence):
         order_of(tmp_path, *names)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected"),
+    [
+        ([9998, 9999, 1, 2], [9998, 9999, 1, 2]),
+        ([8000, 1, 2, 3], None),
+        ([1, 2, 9998, 9999], None),
+        ([3, 2, 1], [1, 2, 3]),
+    ],
+)
+def test_clock_of_the_files_tells_where_a_counter_began_anew(tmp_path, numbers, expected):
+    """Numbers in the order of the clock; None where the jump that it shows is refused."""
+    paths = {n: tmp_path / f"IMG_{n:04d}.jpg" for n in numbers}
+    clock = {path: f"2024-05-06T07:08:{k:02d}" for k, path in enumerate(paths.values())}
+    if expected is None:
+        with pytest.raises(DatasetError, match="numbers of the names jump"):
+            frame_order(sorted(paths.values()), listed=False, clock=clock)
+        return
+    order = frame_order(sorted(paths.values()), listed=True, clock=clock)
+    assert named(order) == [paths[n].name for n in expected]
+
+
+def test_times_that_contradict_the_numbers_are_a_doubt(tmp_path):
+    paths = [tmp_path / f"IMG_{n:04d}.jpg" for n in range(5)]
+    clock = dict(zip(paths, ("03", "01", "05", "02", "04"), strict=True))
+    assert any("not in the order" in note for note in frame_order(paths, listed=True, clock=clock).notes)

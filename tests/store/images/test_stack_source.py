@@ -274,3 +274,19 @@ def test_positions_without_distinct_places_are_asked_for(tmp_path, places):
     with pytest.raises(DatasetError, match="contradict" if not places else r"same place\. Choose one .*: Pos0, Pos1"):
         import_dataset(path, tmp_path / "a.wafer")
     assert open_stack(path, position="Pos1").pixel_um == pytest.approx(PIXEL_UM * (1 if places else 2))
+
+
+@pytest.mark.parametrize("ending", [".jpg", ".png", ".webp"])
+def test_exif_states_exposure_date_and_the_order_of_a_rolled_counter(tmp_path, ending):
+    for k, number in enumerate((9998, 9999, 1, 2, 3)):
+        about = PillowImage.Exif()
+        about[0x0112] = 1
+        about.get_ifd(0x8769).update({0x9003: f"2024:05:06 07:08:{k:02d}", 0x9291: "50", 0x829A: 0.004})
+        PillowImage.fromarray(np.full((16, 16), 40 * k, np.uint8)).save(
+            tmp_path / f"IMG_{number:04d}{ending}", exif=about
+        )
+    stack = open_stack(tmp_path, **GIVEN)
+    assert np.all(np.diff(stack.images[:, 8, 8].astype(int)) > 20)
+    assert stack.exposure_us == pytest.approx(4000)
+    imported = import_dataset(tmp_path, tmp_path / "a.wafer", **GIVEN, as_listed=True)
+    assert imported.scan.imported_from.endswith("taken 2024-05-06T07:08:02.50")

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.atomic_files import natural_sort_key
@@ -79,7 +80,11 @@ class _Name:
         return (*(text.casefold() for text in self.texts), self.path.suffix.lower())
 
 
-def frame_order(files: Sequence[Path], *, listed: bool) -> FrameOrder:
+Clock = Mapping[Path, str]
+"""When each file was taken, ISO 8601, where it says so."""
+
+
+def frame_order(files: Sequence[Path], *, listed: bool, clock: Clock = MappingProxyType({})) -> FrameOrder:
     """Return the order of image files by their names.
 
     Parameters
@@ -88,6 +93,8 @@ def frame_order(files: Sequence[Path], *, listed: bool) -> FrameOrder:
         The files of a folder, or those that the user has listed, in the order given.
     listed : bool
         The user has listed them: their order holds, unless it is the alphabetical one that a shell gives.
+    clock : mapping of Path to str, default {}
+        When files were taken, ISO 8601: tells whether the numbers of a camera began anew.
 
     Returns
     -------
@@ -106,7 +113,7 @@ def frame_order(files: Sequence[Path], *, listed: bool) -> FrameOrder:
     names = [_parsed(path) for path in in_order]
     series, left_out, notes = _one_series(names)
     column, notes_of_order = _numbering_column(series)
-    ordered = _by_column(series, column)
+    ordered = _by_column(series, column, clock)
     return FrameOrder(ordered.files, ordered.z_um, tuple(left_out), (*notes, *notes_of_order, *ordered.notes))
 
 
@@ -320,7 +327,7 @@ def _value(name: _Name, column: int, *, signed: bool) -> float:
     return -token.value if signed and token.sign and token.sign in _SIGNS[1:] else token.value
 
 
-def _by_column(series: list[_Name], column: int | None) -> FrameOrder:
+def _by_column(series: list[_Name], column: int | None, clock: Clock) -> FrameOrder:
     if column is None:
         return FrameOrder(tuple(name.path for name in series))
     signed = _is_signed(series, column)
@@ -341,7 +348,7 @@ def _by_column(series: list[_Name], column: int | None) -> FrameOrder:
         return FrameOrder(tuple(ordered))
     widths = {len(name.tokens[column].digits) for name in series}
     numbers = [int(values[path]) for path in ordered]
-    return _without_gaps(*_rolled(ordered, numbers, widths.pop() if len(widths) == 1 else 0))
+    return _without_gaps(*_rolled(ordered, numbers, widths.pop() if len(widths) == 1 else 0, clock))
 
 
 def _without_gaps_in_z(ordered: list[Path], z_um: list[float]) -> FrameOrder:
@@ -367,22 +374,39 @@ def _without_gaps_in_z(ordered: list[Path], z_um: list[float]) -> FrameOrder:
 _EVEN = 0.1
 
 
-def _rolled(ordered: list[Path], numbers: list[int], width: int) -> tuple[list[Path], list[int], str]:
-    """Begin after the largest gap where a counter of a camera went from 9999 to 0 or 1."""
+def _rolled(
+    ordered: list[Path], numbers: list[int], width: int, clock: Clock
+) -> tuple[list[Path], list[int], tuple[str, ...]]:
+    """Begin where a counter of a camera went from 9999 to 0 or 1: by the clock of the files, else at the widest gap."""
     period = 10**width
-    gaps = [(after - before, n) for n, (before, after) in enumerate(pairwise(numbers), 1)]
-    widest, at = max(gaps, default=(0, 0))
-    closes = numbers[0] + period - numbers[-1] if numbers else period
-    if width < _ROLLOVER_DIGITS or widest <= period // 2 or closes > max(2, len(numbers) // 4 + 1):
-        return ordered, numbers, ""
+    at, doubts = _turn_by_clock([clock.get(path, "") for path in ordered])
+    if at is None:
+        gaps = [(after - before, n) for n, (before, after) in enumerate(pairwise(numbers), 1)]
+        widest, at = max(gaps, default=(0, 0))
+        closes = numbers[0] + period - numbers[-1] if numbers else period
+        if widest <= period // 2 or closes > max(2, len(numbers) // 4 + 1):
+            at = 0
+    if width < _ROLLOVER_DIGITS or at == 0:
+        return ordered, numbers, doubts
     note = f"The numbers of the names go on from {numbers[-1]} to {numbers[0]:0{width}d}: a counter that began anew."
     skipped = 1 if numbers[0] == 1 and numbers[-1] == period - 1 else 0
-    return ordered[at:] + ordered[:at], numbers[at:] + [n + period - skipped for n in numbers[:at]], note
+    return ordered[at:] + ordered[:at], numbers[at:] + [n + period - skipped for n in numbers[:at]], (note, *doubts)
 
 
-def _without_gaps(ordered: list[Path], numbers: list[int], note: str) -> FrameOrder:
+def _turn_by_clock(taken: list[str]) -> tuple[int | None, tuple[str, ...]]:
+    """Return where a cycle of times begins, 0 if they rise throughout; None where they do not tell, with a doubt."""
+    if not taken or not all(taken) or len(set(taken)) == 1:
+        return None, ()
+    falls = [n for n, (before, after) in enumerate(pairwise(taken), 1) if after < before]
+    if len(falls) <= 1 and (not falls or taken[-1] <= taken[0]):
+        return (falls[0] if falls else 0), ()
+    if len(falls) == len(taken) - 1:  # numbered from the last
+        return 0, ()
+    return None, ("The times in the files are not in the order of the numbers of their names: check the order.",)
+
+
+def _without_gaps(ordered: list[Path], numbers: list[int], notes: tuple[str, ...]) -> FrameOrder:
     """Insert None for missing numbers. Raises DatasetError when the numbers jump."""
-    notes = (note,) if note else ()
     steps = [after - before for before, after in pairwise(numbers)]
     if not steps:
         return FrameOrder(tuple(ordered), notes=notes)

@@ -159,7 +159,9 @@ def _planes_in_order(src: Paths, options: ImageOptions) -> tuple[FrameOrder, lis
         return FrameOrder(tuple(files)), _stacks(by_file, options)
     order = FrameOrder(tuple(files))
     if len(files) > 1 and not options.as_listed:
-        order = frame_order(files, listed=listed)
+        said = {path: planes[0].says.taken for path, planes in by_file.items() if planes}
+        clock = {path: taken.value for path, taken in said.items() if taken is not None}
+        order = frame_order(files, listed=listed, clock=clock)
     found: dict[tuple[Path, int], ImagePlane] = {}
     k = 0
     for n, path in enumerate(order.files):
