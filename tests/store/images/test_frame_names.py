@@ -77,6 +77,10 @@ def test_missing_z_is_a_gap_and_uneven_ones_stay(tmp_path):
     assert order.z_um == pytest.approx([0, 2, 4, 6, 8, 10, 12])
     assert order.files[3] is None
     assert order_of(tmp_path, "y0um.png", "y2um.png", "y5um.png", "y6um.png").z_um == (0, 2, 5, 6)
+    without_unit = [f"z{z:.1f}.png" for z in (-5, -2.5, 0, 5, 7.5)]
+    for order in (order_of(tmp_path, *without_unit, listed=listed) for listed in (False, True)):
+        assert named(order) == [*without_unit[:3], None, *without_unit[3:]]
+        assert order.z_um is None
 
 
 def test_results_copies_and_strangers_are_left_out(tmp_path):

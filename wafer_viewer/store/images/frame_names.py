@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -129,17 +129,16 @@ def _parsed(path: Path) -> _Name:
 
 
 def _rise_in_z(files: Sequence[Path]) -> bool:
-    """Return whether listed names say their z with a unit, which rises or falls along the list."""
+    """Return whether listed names say their z, which rises along the list, or falls if it has a unit."""
     series = [_parsed(path) for path in files]
     if len({name.template for name in series}) > 1:
         return False
-    columns = [
-        n for n in range(len(series[0].tokens)) if _UNIT.match(series[0].texts[n + 1]) and _all_differ(series, n)
-    ]
+    columns = [n for n in range(len(series[0].tokens)) if _all_differ(series, n) and _is_z(series, n)]
     if len(columns) != 1:
         return False
     values = [_value(name, columns[0], signed=_is_signed(series, columns[0])) for name in series]
-    return values in (sorted(values), sorted(values, reverse=True))
+    has_unit = _UNIT.match(series[0].texts[columns[0] + 1]) is not None
+    return values == sorted(values) or (has_unit and values == sorted(values, reverse=True))
 
 
 # --- one series
@@ -344,14 +343,14 @@ def _by_column(series: list[_Name], column: int | None, clock: Clock) -> FrameOr
         factor = _UNIT_UM[unit[1].lower()]
         return _without_gaps_in_z(ordered, [factor * values[path] for path in ordered])
     whole = all(name.tokens[column].is_whole for name in series)
-    if signed or not whole:
-        return FrameOrder(tuple(ordered))
+    if signed or not whole:  # a length in an unknown unit
+        return replace(_without_gaps_in_z(ordered, [values[path] for path in ordered], unit=""), z_um=None)
     widths = {len(name.tokens[column].digits) for name in series}
     numbers = [int(values[path]) for path in ordered]
     return _without_gaps(*_rolled(ordered, numbers, widths.pop() if len(widths) == 1 else 0, clock))
 
 
-def _without_gaps_in_z(ordered: list[Path], z_um: list[float]) -> FrameOrder:
+def _without_gaps_in_z(ordered: list[Path], z_um: list[float], unit: str = " um") -> FrameOrder:
     """Insert None where a z is missing among even steps; uneven steps stay as they are."""
     steps = [after - before for before, after in pairwise(z_um)]
     step = min(steps, default=0.0)
@@ -368,7 +367,8 @@ def _without_gaps_in_z(ordered: list[Path], z_um: list[float]) -> FrameOrder:
         filled += [*between, here]
         files += [None] * (n - 1) + [path]
     shown = ", ".join(f"{z:g}" for z in missing[:5]) + (" ..." if len(missing) > 5 else "")
-    return FrameOrder(tuple(files), tuple(filled), notes=(f"No image is named z {shown} um: its place stays empty.",))
+    note = f"No image is named z {shown}{unit}: its place stays empty."
+    return FrameOrder(tuple(files), tuple(filled), notes=(note,))
 
 
 _EVEN = 0.1
