@@ -148,6 +148,16 @@ def test_missing_parts_are_compiled_by_two_processes_and_their_progress_is_repor
 
 
 @pytest.mark.slow
+def test_a_part_that_takes_long_is_told_again(log, tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_build, "TELL_EVERY_S", 1)
+    reported = []
+    part = KernelPart("a", partial(note_and_wait, log, "a", tmp_path / "never"))
+    compile_missing([part], reported.append, should_stop=lambda: len(reported) > 2)
+    assert [(progress.part, progress.seconds) for progress in reported] == [("a", 0), ("a", 1), ("a", 2)]
+    assert reported[2].words.endswith("0 of 1, a, 2 s so far")
+
+
+@pytest.mark.slow
 def test_compilation_ends_when_it_is_stopped(log, tmp_path, patience_s):
     part = KernelPart("a", partial(note_and_wait, log, "a", tmp_path / "never"))
     compile_missing([part], should_stop=log.exists)

@@ -443,16 +443,21 @@ class OpenDataset:
 
 @dataclass(frozen=True, slots=True)
 class KernelProgress:
-    """Compilation of the numerical kernels: parts that are done, of how many, and the part that comes next."""
+    """Compilation of the numerical kernels: parts that are done, of how many, and the part that comes next.
+
+    seconds: since it began, told now and then while a part takes long.
+    """
 
     n_done: int
     n_parts: int
     part: str
+    seconds: int = 0
 
     @property
     def words(self) -> str:
         """One line for people."""
-        return f"{COMPILING}: {self.n_done} of {self.n_parts}, {self.part}"
+        so_far = f", {self.seconds} s so far" if self.seconds else ""
+        return f"{COMPILING}: {self.n_done} of {self.n_parts}, {self.part}{so_far}"
 
 
 COMPILING = "Compiling the numerical kernels for this machine, once"

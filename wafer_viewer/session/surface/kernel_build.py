@@ -37,6 +37,8 @@ PROCESSES, NICENESS = 2, 5
 """Processes that compile, and their niceness while nobody waits for them alone."""
 LOOK_EVERY_S, LOCK_EVERY_S, PATIENCE_S = 0.2, 0.05, 600.0
 """Pauses between looks at the progress and at a lock, and the longest wait for a part that another one compiles."""
+TELL_EVERY_S = 20
+"""Longest time without a word on a part that takes long, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,14 +220,16 @@ def compile_missing(
     """Compile what this machine lacks of some parts, in processes of their own, and report the progress."""
     todo = [part for part in parts if not part.is_compiled] if is_writable(cache_folder()) else []
     n_processes, n_left = min(PROCESSES, os.cpu_count() or 1, len(todo)), len(todo) + 1
+    began, told = time.monotonic(), 0
     with ExitStack() as at_end:
         work = partial(_compile_in_background, tuple(todo), niceness)
         processes = [at_end.enter_context(alongside(work)) for _ in range(n_processes)]
         while any(process.is_alive() for process in processes) and not should_stop():
             left = [part for part in todo if not part.is_compiled]
-            if 0 < len(left) < n_left:
-                n_left = len(left)
-                report(KernelProgress(len(todo) - n_left, len(todo), left[0].name))
+            turns = int((time.monotonic() - began) / TELL_EVERY_S)
+            if left and (len(left) < n_left or turns > told):
+                n_left, told = len(left), turns
+                report(KernelProgress(len(todo) - n_left, len(todo), left[0].name, turns * TELL_EVERY_S))
             time.sleep(LOOK_EVERY_S)
 
 
