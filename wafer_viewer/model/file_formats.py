@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from typing import TypeVar
 
+from wafer_viewer.model.maker_formats import MAKER_FORMAT
 from wafer_viewer.model.plugins import PluginWarning, plugins
 from wafer_viewer.model.surface_format import SurfaceFormat
 
@@ -34,6 +35,7 @@ OWN_FORMATS = (
         loses="Differences in overlaps stay behind.",
         layout="m, y downward from minus the stage's y",
         reader=f"{_STORE}.gwy:read_gwy",
+        magic=(b"GWYP",),
         writer=f"{_STORE}.gwy:write_gwy",
         loses_more=f"{_STORE}.gwy:lost_layers",
     ),
@@ -51,6 +53,7 @@ OWN_FORMATS = (
         loses=f"{_HEIGHTS_ONLY}. Heights are rounded to 7 digits.",
         layout="m, y downward from minus the stage's y",
         reader=f"{_STORE}.gsf:read_gsf",
+        magic=(b"Gwyddion Simple Field 1.0",),
         writer=f"{_STORE}.gsf:write_gsf",
     ),
     SurfaceFormat(
@@ -69,6 +72,7 @@ OWN_FORMATS = (
         "16-bit pictures become 8-bit.",
         layout="stage µm, 64-bit",
         reader=f"{_STORE}.ply:read_ply",
+        magic=(b"ply\n", b"ply\r\n"),
         writer=f"{_STORE}.ply:write_ply",
     ),
     SurfaceFormat(
@@ -105,6 +109,7 @@ OWN_FORMATS = (
         layout="stage µm; a matrix has its first line on top. So may `.csv` and `.xyz`",
         reader=f"{_STORE}.text_table:read_table",
     ),
+    MAKER_FORMAT,
     SurfaceFormat(
         suffixes=(".stl",),
         title="STL, a mesh",
@@ -150,6 +155,18 @@ BY_SUFFIX = {suffix: one for one in FORMATS for suffix in one.suffixes}
 READ = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.reader is not None)
 WRITTEN = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.writer is not None)
 MESHES = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.is_mesh)
+
+
+def format_of(suffix: str, head: bytes) -> SurfaceFormat | None:
+    """Return the format of a file by its first bytes, or by its suffix where they tell nothing; None if unknown.
+
+    suffix: with its dot. head: at least the first 32 bytes, empty where there are none.
+    """
+    by_suffix = BY_SUFFIX.get(suffix.lower())
+    if by_suffix is not None and head.startswith(by_suffix.magic):
+        return by_suffix
+    by_content = next((one for one in FORMATS if one.magic and head.startswith(one.magic)), None)
+    return by_content or by_suffix
 
 
 def with_suffixes(function: F) -> F:

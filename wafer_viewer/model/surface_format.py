@@ -40,6 +40,8 @@ class SurfaceFormat:
         ``loses_more(strips)``: sentence on what a file loses of one surface beyond `loses`, or an empty text.
     is_mesh : bool, default False
         Triangles, at most `MESH_POINTS` points by default.
+    magic : tuple of bytes, optional
+        First bytes, one of which each file has, by which a file with the suffix of another format is recognised.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class SurfaceFormat:
     is_surface: Function | None = None
     loses_more: Function | None = None
     is_mesh: bool = False
+    magic: tuple[bytes, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.suffixes or any(not s.startswith(".") or s != s.lower() for s in self.suffixes):

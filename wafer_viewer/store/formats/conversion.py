@@ -6,12 +6,13 @@ Every format that can hold text states whether the data are simulated or uncalib
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
-from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, READ, WRITTEN, every_for, with_suffixes
+from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, READ, WRITTEN, every_for, format_of, with_suffixes
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface_format import Reading, Table, imported
@@ -86,9 +87,9 @@ def read_surface(
        x3p.
     """
     place = Path(path)
-    read = _reader_of(place)
     says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z, table=table)
     options = ReadOptions(place.name, says, progress, should_stop)
+    read = _reader_of(place, options)
     _require_file(place, options)
     damaged = options.refuse("cannot be read, it is damaged: copy it again.")
     # numbers beyond the range of heights are invalid
@@ -97,15 +98,28 @@ def read_surface(
 
 
 def is_surface_file(path: Path) -> bool:
-    """Return whether the suffix is that of a surface file; a TIFF must also hold floats."""
-    kind = BY_SUFFIX.get(path.suffix.lower())
+    """Return whether a file is a surface by its first bytes, or else its suffix; a TIFF must also hold floats."""
+    kind = format_of(path.suffix, _head(path))
     if kind is None or kind.is_surface is None:
         return kind is not None
     return path.is_file() and imported(kind.is_surface)(path)
 
 
-def _reader_of(path: Path) -> Reader:
-    kind = BY_SUFFIX.get(path.suffix.lower())
+def _head(path: Path) -> bytes:
+    """Return the first bytes of a file; none if it cannot be read."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(_HEAD_BYTES)
+    return b""
+
+
+_HEAD_BYTES = 64
+
+
+def _reader_of(path: Path, options: ReadOptions) -> Reader:
+    """Return the reader by the first bytes of a file, or else its suffix; a note tells if the two contradict."""
+    kind = format_of(path.suffix, _head(path))
+    if kind is not None and kind is not BY_SUFFIX.get(path.suffix.lower()):
+        options.notes.append(f"Its content and not its ending told its format: {kind.title}.")
     if kind is not None and kind.reader is not None:
         return imported(kind.reader)
     if kind is not None and kind.is_mesh:

@@ -129,6 +129,7 @@ UNITS_UM = {
     **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters"), 1e3),
     **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometre", "micrometers"), 1.0),
     **dict.fromkeys(("nm", "nanometer", "nanometre", "nanometers"), 1e-3),
+    **dict.fromkeys(("Å", "Å", "angstrom"), 1e-4),
     **dict.fromkeys(("pm", "picometer", "picometre"), 1e-6),
     **dict.fromkeys(("in", "inch", "inches"), 25400.0),
 }
