@@ -113,7 +113,7 @@ def _read_zarr(path: Path, array: str, name: str, where: Where) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class _Lengths:
-    """Scale and translation along each axis, in um; axes in other units are left out."""
+    """Scale and translation along each axis, in um, without axes in other units; no translation if none is stated."""
 
     scale: Mapping[str, float]
     translation: Mapping[str, float]
@@ -122,15 +122,18 @@ class _Lengths:
 def _zarr_lengths(axes: Sequence[str], scales: Mapping[str, Any]) -> _Lengths:
     units = [UNITS_UM.get(str(axis.get("unit")), 0.0) if isinstance(axis, dict) else 0.0 for axis in scales["axes"]]
     steps, begin = np.ones(len(axes)), np.zeros(len(axes))
-    for change in (
+    changes = [
         *scales["datasets"][0].get("coordinateTransformations", ()),
         *scales.get("coordinateTransformations", ()),
-    ):
+    ]
+    for change in changes:
         factor = np.asarray(change.get("scale", np.ones(len(axes))), np.float64)
         steps, begin = steps * factor, begin * factor + np.asarray(change.get("translation", 0.0), np.float64)
+    in_um = {axis: n for n, axis in enumerate(axes) if units[n]}
+    placed = any("translation" in change for change in changes)
     return _Lengths(
-        {axis: float(step * unit) for axis, step, unit in zip(axes, steps, units, strict=True) if unit},
-        {axis: float(at * unit) for axis, at, unit in zip(axes, begin, units, strict=True) if unit},
+        {axis: float(steps[n] * units[n]) for axis, n in in_um.items()},
+        {axis: float(begin[n] * units[n]) for axis, n in in_um.items()} if placed else {},
     )
 
 
@@ -144,7 +147,7 @@ def _zarr_statements(lengths: _Lengths) -> Statements:
 
 def _zarr_centre(lengths: _Lengths, rows: int, cols: int) -> dict[str, float]:
     """Return the centre of an image in um, y up; nothing where no place is stated."""
-    if not {"X", "Y"} <= lengths.scale.keys() or not any(lengths.translation[axis] for axis in "XY"):
+    if not {"X", "Y"} <= lengths.translation.keys():
         return {}
     return {
         "x_um": lengths.translation["X"] + (cols - 1) / 2 * lengths.scale["X"],
