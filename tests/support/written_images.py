@@ -173,7 +173,7 @@ def ndtiff(folder: Path, images: Stack, text: str) -> Path:
         data = api.NDTiffDataset(str(folder), summary_metadata={"comment": text}, name="stack", writable=True)
         for k in np.random.default_rng(0).permutation(len(images)):
             words = {"Exposure": EXPOSURE_MS, "PixelSizeUm": PIXEL_UM, "ZPosition_um_Intended": 50 + k * STEP_UM}
-            data.put_image({"z": int(k), "channel": "BF"}, images[k], words)
+            data.put_image({"z": int(k), "channel": "BF"}, images[k].astype(np.uint16), words)
         data.finish()
         data.close()
         del data

@@ -11,9 +11,11 @@ import tifffile
 from PIL import Image, PngImagePlugin
 
 from tests.support.datasets.samples import SUMMARY, make_frame, make_job, make_plan
+from tests.support.written_images import WRITERS
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.devices import Position
+from wafer_viewer.model.image_formats import IMAGE_FORMATS
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.ome_header import StagePicture, write_stage_picture
@@ -122,6 +124,36 @@ def test_mark_of_a_simulation_survives_the_import(tmp_path, route, simulated):
     assert imported.stack(1).simulated == simulated
     again = open_stack(imported.path / "frames", **STEP)
     assert again.simulated == simulated
+
+
+WITHOUT_TEXT = {"bmp"}
+"""Formats that hold nothing but pixels."""
+READ_OTHERWISE = {"planes_of_nd2"}
+"""Formats that cannot be written here: tests/store/images/test_formats.py reads them by a stand-in."""
+OPTIONS = ({}, {"as_listed": True}, {"only": "*"}, {"overrule": True})
+"""Ways to take the images of a source."""
+
+
+def test_every_format_is_walked():
+    written = {"single_image" if name in ("png", "jpeg", "bmp", "pgm", "webp") else name for name in WRITERS}
+    read = {str(one.planes).rpartition(":")[2] for one in IMAGE_FORMATS if one.planes is not None}
+    assert len(read - READ_OTHERWISE) == len(written) - 1, "OME-Zarr is written in two versions"
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+@pytest.mark.parametrize("name", sorted(WRITERS.keys() - WITHOUT_TEXT))
+def test_mark_survives_every_format_and_option(tmp_path, name, simulated, capsys):
+    """Text as of a header of ours, which converters put into the description or the comment of what they write."""
+    text = f"{'SIMULATED. ' if simulated else ''}Focus stack of field 1"
+    stack = np.stack([frame(k) for k in range(N_FRAMES)])
+    path = WRITERS[name](tmp_path, stack, text)
+    for n, options in enumerate(OPTIONS):
+        given = STEP | {"overrule": True} | options
+        assert open_stack(path, **given).simulated == simulated
+        imported = import_dataset(path, tmp_path / f"{n}.wafer", **given)
+        assert imported.stack(1).simulated == simulated
+    assert main(["import", str(path), "-o", str(tmp_path / "c.wafer"), *FLAGS, "--overrule"]) == 0
+    assert Dataset.open(tmp_path / "c.wafer").simulated == simulated
 
 
 def test_one_simulated_image_marks_the_whole_stack(tmp_path):
