@@ -85,6 +85,14 @@ OWN_FORMATS = (
         writer=f"{_STORE}.pcd:write_pcd",
     ),
     SurfaceFormat(
+        suffixes=(".laz",),
+        title="LAZ, points",
+        loses="It holds points with a height, rounded to 1 nm in x and y and 0.01 nm in z, and their grey: confidence, "
+        "uncertainty, measured heights and why pixels are unmeasured stay behind.",
+        layout="stage µm",
+        writer=f"{_STORE}.laz:write_laz",
+    ),
+    SurfaceFormat(
         suffixes=(".csv",),
         title="CSV, x y z",
         loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, "
