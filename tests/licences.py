@@ -21,6 +21,7 @@ OF_NAMED = {
     "pymmcore": "LGPL-2.1-only",  # an extra, a library of its own that users may exchange
     "mm-test-adapters": "LGPL-2.1-only",  # of Micro-Manager like pymmcore; states none
     "genicam": "LicenseRef-GenICam-1.6",  # an extra, the reference implementation of EMVA
+    "pylibczirw": "LGPL-3.0-only",  # an extra, a library of its own that users may exchange
     "docutils": "CC0-1.0",  # public domain but for some files that are not imported
 }
 """Licences beyond `RUN_TIME`, or not stated in a form that can be read: of extras and tools of the tests alone."""

@@ -20,7 +20,6 @@ class ImageFormat:
     a format that is not read.
     library: module that reads it, of the extra `EXTRA`; empty if the program itself does.
     marks: files, each of which makes a folder one image of this format.
-    states: what is read of the statements of such files, for the documentation.
     mend: what to do about a file that is not read, as an imperative.
     """
 
@@ -29,7 +28,6 @@ class ImageFormat:
     planes: Function | None = None
     library: str = ""
     marks: tuple[str, ...] = ()
-    states: str = ""
     mend: str = "export it as OME-TIFF"
 
 

