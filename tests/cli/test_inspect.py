@@ -73,6 +73,30 @@ def test_a_missing_length_is_told_with_the_facts_there_are(tmp_path, capsys):
     assert len(found["frames"]) == N
 
 
+def test_every_open_value_is_named_with_the_frames_read_nevertheless(tmp_path, capsys):
+    (tmp_path / "a").mkdir()
+    for k, image in enumerate(frames()):
+        tifffile.imwrite(tmp_path / "a" / f"z{2.5 * k:.1f}um.tif", image)
+    status, found = inspected(capsys, str(tmp_path / "a"), "--z-step-um", "3")
+    facts = {fact["name"]: fact for fact in found["facts"]}
+    assert status == 1
+    assert sorted(found["unsettled"]) == ["pixel size", "z step"]
+    assert facts["pixel size"]["value"] == ""
+    assert facts["z step"]["value"] == "3 um or 2.5 um"
+    assert facts["z step"]["source"].startswith("given; names of the files")
+    assert len(found["frames"][0]["sharpness"]) == 5
+    assert found["field_um"] is None
+
+
+def test_files_left_out_places_and_size_are_told(tmp_path, capsys):
+    src = write(tmp_path / "a", frames())
+    (tmp_path / "a" / "fused.tif").write_bytes((tmp_path / "a" / "img_003.tif").read_bytes())
+    _, found = inspected(capsys, src, "--z-step-um", "2", "--pixel-um", "0.5", "--quick")
+    assert found["left_out"] == ["fused.tif"]
+    assert (found["places_um"], found["field_um"]) == ([[0.0, 0.0]], [100.0, 80.0])
+    assert found["n_bytes"] == N * 160 * 200
+
+
 def test_a_missing_frame_keeps_its_place(tmp_path, capsys):
     src = write(tmp_path / "a", frames())
     (tmp_path / "a" / "img_005.tif").unlink()

@@ -230,6 +230,10 @@ def test_images_are_imported_opened_and_reconstructed(session, surfaced, patienc
     for k in range(12):
         spread = 5 + 60 * np.exp(-((k - 6) ** 2) / 4)
         tifffile.imwrite(tmp_path / f"s{k}.tif", noise.normal(128, spread, (96, 128)).clip(0, 255).astype(np.uint8))
+    look = session.exchange.look((tmp_path,), ImageOptions(z_step_um=2.0)).result(patience_s).done.result(patience_s)
+    assert look.contents.unsettled == ("pixel size",)
+    assert sorted(look.thumbnails) == list(range(12))
+    assert look.out.parent == session.snapshot.data_folder
     lengths = ImageOptions(z_step_um=2.0, pixel_um=0.5)
     path = session.import_images((tmp_path,), lengths, name="taken").result(patience_s)
     done = session.wait_until(surfaced, patience_s)

@@ -31,11 +31,22 @@ class FrameFact:
 
 
 @dataclass(frozen=True, slots=True)
+class Choice:
+    """Names on an axis, channel, time or position, of which one can be taken."""
+
+    axis: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class FileContents:
     """Contents of a source of images or heights.
 
     name: of the file or folder. facts: in the order of reading. frames: of the first field. fields: how many.
     notes: one sentence each on how it is read. doubts: what has to be settled before it can be imported, with the mend.
+    unsettled: names of the facts that doubts are about; their values are empty where unknown, several where they
+    contradict each other. left_out: files that are not taken. choices: axes with several names. places_um: centres of
+    the fields on the sample; field_um: width and height of a field, None if unknown. n_bytes: of all images.
     """
 
     name: str
@@ -45,6 +56,17 @@ class FileContents:
     fields: int = 1
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    unsettled: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    choices: tuple[Choice, ...] = ()
+    places_um: tuple[tuple[float, float], ...] = ()
+    field_um: tuple[float, float] | None = None
+    n_bytes: int = 0
+
+    @property
+    def n_missing(self) -> int:
+        """Number of frames of the first field that are missing."""
+        return sum(not frame.name for frame in self.frames)
 
     @property
     def can_import(self) -> bool:

@@ -7,6 +7,7 @@ import glob
 import re
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -15,6 +16,7 @@ from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.plan import IMPORT, MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_contents import FileContents
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
@@ -22,7 +24,7 @@ from wafer_viewer.model.report import Contents, ReportOrder
 from wafer_viewer.model.surface.comparison import comparison_of
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface_format import Reading
-from wafer_viewer.session.core.background_work import BackgroundWork
+from wafer_viewer.session.core.background_work import BackgroundWork, RunningWork
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import (
@@ -34,7 +36,7 @@ from wafer_viewer.session.core.dataset_library import (
     summarise,
 )
 from wafer_viewer.session.reporting.report import contents, make_report
-from wafer_viewer.session.surface.worker_tasks import export_fields, export_surface, import_images
+from wafer_viewer.session.surface.worker_tasks import export_fields, export_surface, import_images, look_at_files
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, RESULTS, Finished, JournalWriter, ScanRecord, write_record
 from wafer_viewer.store.io.atomic_files import atomic_write
@@ -138,6 +140,22 @@ def _part(tell: Progress, begin: float, length: float, share: float) -> None:
     tell(begin + length * share)
 
 
+MOST_PICTURES = 12
+"""Frames of which a look at files brings a thumbnail."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportLook:
+    """Contents of files that may be imported, and what the import would make.
+
+    thumbnails: JPEG by number of the frame. out: dataset that the import would write.
+    """
+
+    contents: FileContents
+    thumbnails: Mapping[int, bytes]
+    out: Path
+
+
 class FileJobs:
     """Import, export and report jobs, ``session.exchange``; commands return futures."""
 
@@ -154,6 +172,7 @@ class FileJobs:
             background,
             open_dataset,
         )
+        self._looks = set[str]()
 
     @query
     def is_surface(self, path: Path) -> bool:
@@ -161,6 +180,35 @@ class FileJobs:
         from wafer_viewer.store.formats.conversion import is_surface_file
 
         return is_surface_file(Path(path))
+
+    @observer_command
+    def look(
+        self,
+        srcs: tuple[Path, ...],
+        options: ImageOptions = ImageOptions(),
+        says: Reading = Reading(),
+        name: str | None = None,
+    ) -> RunningWork[ImportLook]:
+        """Look at files in the background before they are imported; nothing is written.
+
+        The future is done when the look has begun; `RunningWork.done` when it is over. says: values that a surface file
+        does not contain. name: of the dataset to make.
+        """
+        out = self._new_dataset(name, srcs[0].stem if srcs else "import")
+        files = tuple(Path(src).absolute() for src in srcs)
+        title = f"Look at {srcs[0].name if len(srcs) == 1 else f'{len(srcs)} files'}"
+        work = self._background.run(title, look_at_files, files, options, says, MOST_PICTURES)
+        self._looks.add(work.id)
+        work.done.add_done_callback(lambda _: self._looks.discard(work.id))
+        return RunningWork(
+            work.id, self._command_queue.then(work.done, lambda found: ImportLook(found[0], found[1], out))
+        )
+
+    @observer_command
+    def stop_look(self, work_id: str) -> None:
+        """Stop a look at files; one that is over is ignored."""
+        if work_id in self._looks:
+            self._background.cancel(work_id)
 
     @command.audited("Images imported")
     def import_images(

@@ -10,13 +10,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Shot
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_contents import FileContents, FrameFact
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.field_scene import write_scene
 
@@ -203,6 +205,44 @@ def import_images(
 
     paths = srcs[0] if len(srcs) == 1 else tuple(srcs)
     return dataset_of(paths, out, options, overlap_fraction, progress, should_stop).path
+
+
+def look_at_files(
+    srcs: Sequence[Path],
+    options: ImageOptions,
+    says: Reading,
+    most_pictures: int,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> tuple[FileContents, dict[int, bytes]]:
+    """Return what files hold that may be imported, and thumbnails of frames, spread over z, by their number."""
+    from wafer_viewer.store.dataset.file_contents import file_contents
+    from wafer_viewer.store.dataset.preview import thumbnail_jpeg
+
+    pictures = dict[int, bytes]()
+
+    def keep(k: int, image: Image) -> None:
+        pictures[k] = thumbnail_jpeg(image)
+
+    paths = srcs[0] if len(srcs) == 1 else tuple(srcs)
+    found = file_contents(paths, options, says, on_frame=keep, progress=progress, should_stop=should_stop)
+    return found, {k: pictures[k] for k in spread_frames(found.frames, most_pictures) if k in pictures}
+
+
+def spread_frames(frames: Sequence[FrameFact], most: int) -> tuple[int, ...]:
+    """Return the numbers of at most `most` present frames, evenly spread, with those beside the first gap."""
+    present = [k for k, frame in enumerate(frames) if frame.name]
+    if len(present) <= most:
+        return tuple(present)
+    chosen = [present[round(n * (len(present) - 1) / (most - 1))] for n in range(most)]
+    gap = next((k for k, frame in enumerate(frames) if not frame.name), None)
+    if gap is not None:
+        beside = [k for k in (gap - 1, gap + 1) if k in present]
+        others = [k for k in chosen if k not in beside]
+        others.sort(key=lambda k: abs(k - gap), reverse=True)
+        chosen = [*others[: most - len(beside)], *beside]
+    return tuple(sorted(chosen))
 
 
 def export_surface(

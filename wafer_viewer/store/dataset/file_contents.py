@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_contents import Fact, FileContents, FrameFact
+from wafer_viewer.model.file_contents import Choice, Fact, FileContents, FrameFact
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.numerics.frame_sequence import place_sharpness
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.stack_import import OVERLAP_FRACTION, placed_fields
 from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
 from wafer_viewer.store.images.image_files import Paths, image_files, planes_of
-from wafer_viewer.store.images.stack_source import SourceField, StackSource, order_doubt, read_source
+from wafer_viewer.store.images.stack_source import SourceField, StackSource, UnsettledValue, order_doubt, read_source
 
+OnFrame = Callable[[int, Image], None]
 DATASET_ENDING = ".wafer"
 SHOWN_PLACES = 5
 """Places of a frame whose sharpness is told: those where it changes most."""
@@ -32,6 +36,7 @@ def file_contents(
     reading: Reading = Reading(),
     *,
     look: bool = True,
+    on_frame: OnFrame | None = None,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
 ) -> FileContents:
@@ -49,6 +54,8 @@ def file_contents(
         Values of the user for a surface file.
     look : bool, default True
         Read all frames of the first field, for their sharpness and the order that it supports.
+    on_frame : callable, optional
+        Receives the number in the order of z, from 0, and the image [row, col] of each frame that is read.
     progress : callable, optional
         Receives the completed fraction, 0 to 1.
     should_stop : callable, optional
@@ -69,7 +76,7 @@ def file_contents(
         return _of_dataset(alone)
     if alone is not None and is_surface_file(alone):
         return _of_surface(alone, reading, progress, should_stop)
-    return _of_images(src, options, look, progress, should_stop)
+    return _of_images(src, options, look, on_frame, progress, should_stop)
 
 
 def _alone(src: Paths) -> Path | None:
@@ -124,24 +131,86 @@ def _of_surface(
 
 
 def _of_images(
-    src: Paths, options: ImageOptions, look: bool, progress: Progress | None, should_stop: ShouldStop | None
+    src: Paths,
+    options: ImageOptions,
+    look: bool,
+    on_frame: OnFrame | None,
+    progress: Progress | None,
+    should_stop: ShouldStop | None,
 ) -> FileContents:
-    name = _name(src)
-    planes = [plane for path in image_files(src) for plane in planes_of(path)]
-    facts = tuple(_facts(planes))
-    try:
-        source = read_source(src, options)
-    except DatasetError as doubt:
-        frames = tuple(FrameFact(plane.name, plane.z_um) for plane in planes)
-        return FileContents(name, "images", facts, frames, doubts=(str(doubt),))
+    files = image_files(src)
+    planes = [plane for path in files for plane in planes_of(path)]
+    first = planes[0].read()
+    choices = tuple(_choices(planes))
+    facts = tuple(_facts(planes, first, choices))
+    found = FileContents(_name(src), "images", facts, choices=choices)
+    source, refusals = _read(src, options)
+    doubts = tuple(dict.fromkeys(str(refusal) for refusal in refusals))
+    unsettled = {refusal.name: refusal for refusal in refusals if isinstance(refusal, UnsettledValue)}
+    found = replace(found, doubts=doubts, unsettled=tuple(unsettled))
+    if source is None:
+        return replace(found, frames=tuple(FrameFact(plane.name, plane.z_um) for plane in planes))
     field = source.fields[0]
-    frames, doubts = _frames(field, source), list[str]()
-    if len(frames) < MIN_FRAMES:
-        doubts.append(f"There are {len(frames)} frames: at least {MIN_FRAMES} are needed to find a focus peak.")
-    if look and not doubts:
-        frames, doubts = _looked_at(frames, field, source, progress, should_stop)
-    facts = (*facts, *_agreed(source))
-    return FileContents(name, "images", facts, frames, len(source.fields), source.notes, tuple(doubts))
+    frames = _frames(field, source, "z step" in unsettled)
+    n_frames = sum(bool(frame.name) for frame in frames)
+    if n_frames < MIN_FRAMES:
+        few = f"There are {n_frames} frames: at least {MIN_FRAMES} are needed to find a focus peak."
+        found = replace(found, doubts=(*doubts, few))
+    elif look:
+        frames, contradictions = _looked_at(frames, field, source, on_frame, progress, should_stop)
+        found = replace(found, doubts=(*doubts, *contradictions))
+    taken = [plane for one in source.fields for slot in one.slots for plane in slot if plane is not None]
+    taken_files = {plane.path for plane in taken}
+    rows, cols = first.shape
+    known = "pixel size" not in unsettled
+    pixel_um = source.pixel_um.value
+    places = placed_fields(source, first, OVERLAP_FRACTION) if known else ()
+    return replace(
+        found,
+        facts=(*facts, *_agreed(source, unsettled)),
+        frames=frames,
+        fields=len(source.fields),
+        notes=source.notes,
+        left_out=tuple(path.name for path in files if path not in taken_files),
+        places_um=tuple((place.x_um, place.y_um) for place in places),
+        field_um=(cols * pixel_um, rows * pixel_um) if known else None,
+        n_bytes=len(taken) * first.nbytes,
+    )
+
+
+def _read(src: Paths, options: ImageOptions) -> tuple[StackSource | None, list[DatasetError]]:
+    """Return the images with what has to be settled; a placeholder stands for each value that is open.
+
+    None where it is something else than a value.
+    """
+    refusals = list[DatasetError]()
+    while len(refusals) < _MOST_REFUSALS:
+        try:
+            return read_source(src, options), refusals
+        except UnsettledValue as refusal:
+            refusals.append(refusal)
+            options = _settled(options, refusal)
+        except DatasetError as refusal:
+            return None, [*refusals, refusal]
+    return None, refusals
+
+
+_MOST_REFUSALS = 12
+
+
+def _settled(options: ImageOptions, refusal: UnsettledValue) -> ImageOptions:
+    """Return the options with a placeholder for an unsettled value: the files' own, 1 um, or the first name."""
+    option = _OPTIONS.get(refusal.name)
+    if option is None:
+        return replace(options, **{refusal.name: "0"})
+    if refusal.values and getattr(options, option) is not None:
+        return replace(options, **{option: None})
+    if refusal.values:
+        return replace(options, **{option: refusal.values[0].value}, overrule=True)
+    return replace(options, **{option: 1.0})
+
+
+_OPTIONS = {"pixel size": "pixel_um", "z step": "z_step_um", "numerical aperture": "numerical_aperture"}
 
 
 def _name(src: Paths) -> str:
@@ -149,16 +218,21 @@ def _name(src: Paths) -> str:
     return alone.name if alone is not None else f"{len(src)} files"  # type: ignore[arg-type]
 
 
-def _facts(planes: Sequence[ImagePlane]) -> Iterator[Fact]:
+def _choices(planes: Sequence[ImagePlane]) -> Iterator[Choice]:
+    for axis in ("position", "channel", "time"):
+        names = tuple(dict.fromkeys(getattr(plane, axis) for plane in planes))
+        if len(names) > 1:
+            yield Choice(axis, names)
+
+
+def _facts(planes: Sequence[ImagePlane], image: Image, choices: Sequence[Choice]) -> Iterator[Fact]:
     """Yield what the files hold before any choice: their number, size, axes, and what they say."""
-    image = planes[0].read()
     yield Fact("files", str(len({plane.path for plane in planes})))
     yield Fact("images", f"{len(planes)} of {image.shape[1]} x {image.shape[0]} px, {8 * image.dtype.itemsize} bits")
-    for axis in ("position", "channel", "time"):
-        names = list(dict.fromkeys(getattr(plane, axis) for plane in planes))
-        if len(names) > 1:
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            yield Fact(f"{axis}s", ", ".join(name or "unnamed" for name in names[:_NAMED]) + more, planes[0].path.name)
+    for choice in choices:
+        more = f" and {len(choice.names) - _NAMED} more" if len(choice.names) > _NAMED else ""
+        shown = ", ".join(name or "unnamed" for name in choice.names[:_NAMED])
+        yield Fact(f"{choice.axis}s", shown + more, planes[0].path.name)
     says = planes[0].says
     for plane in planes[1:]:
         says = says.merged(plane.says)
@@ -171,12 +245,17 @@ def _facts(planes: Sequence[ImagePlane]) -> Iterator[Fact]:
     yield Fact("sample", "simulated" if any(plane.simulated for plane in planes) else "real or not stated")
 
 
-def _agreed(source: StackSource) -> Iterator[Fact]:
-    """Yield the lengths that are used, with their sources."""
-    yield _length("pixel size", source.pixel_um)
-    yield _length("z step", source.z_step_um)
-    if source.numerical_aperture is not None:
-        yield Fact("numerical aperture", f"{source.numerical_aperture.value:g}", source.numerical_aperture.source)
+def _agreed(source: StackSource, unsettled: Mapping[str, UnsettledValue]) -> Iterator[Fact]:
+    """Yield the lengths that are used, with their sources; those that are not settled with all their values."""
+    for name, unit, stated in (
+        ("pixel size", " um", source.pixel_um),
+        ("z step", " um", source.z_step_um),
+        ("numerical aperture", "", source.numerical_aperture),
+    ):
+        values = unsettled[name].values if name in unsettled else () if stated is None else (stated,)
+        if values or name in unsettled:
+            shown = " or ".join(f"{abs(value.value):.6g}{unit}" for value in values)
+            yield Fact(name, shown, "; ".join(value.source for value in values))
     if len(source.fields) > 1:
         yield Fact("fields", str(len(source.fields)))
     missing = sum(None in slot for field in source.fields for slot in field.slots)
@@ -188,8 +267,8 @@ def _length(name: str, stated: Stated[float]) -> Fact:
     return Fact(name, f"{stated.value:.6g} um", stated.source)
 
 
-def _frames(field: SourceField, source: StackSource) -> tuple[FrameFact, ...]:
-    z_um = field.z_um or tuple(k * source.z_step_um.value for k in range(len(field.slots)))
+def _frames(field: SourceField, source: StackSource, z_is_open: bool) -> tuple[FrameFact, ...]:
+    z_um = field.z_um or tuple(None if z_is_open else k * source.z_step_um.value for k in range(len(field.slots)))
     return tuple(
         FrameFact("" if slot[0] is None else slot[0].name, z) for slot, z in zip(field.slots, z_um, strict=True)
     )
@@ -199,13 +278,19 @@ def _looked_at(
     frames: tuple[FrameFact, ...],
     field: SourceField,
     source: StackSource,
+    on_frame: OnFrame | None,
     progress: Progress | None,
     should_stop: ShouldStop | None,
 ) -> tuple[tuple[FrameFact, ...], list[str]]:
     """Return the frames with their sharpness, and a doubt where it contradicts their order."""
     there = [(k, slot[0]) for k, slot in enumerate(field.slots) if slot[0] is not None]
     told = with_progress(there, len(there), "Looking at the images", progress, should_stop)
-    seen = [place_sharpness(plane.read()) for _, plane in told]
+    seen = list[NDArray[np.float64]]()
+    for k, plane in told:
+        image = plane.read()
+        seen.append(place_sharpness(image))
+        if on_frame is not None:
+            on_frame(k, image)
     if len({len(one) for one in seen}) > 1:
         return frames, ["The images have several sizes: give those of one size."]
     sharpness = np.stack(seen)

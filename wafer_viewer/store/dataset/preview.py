@@ -47,7 +47,7 @@ def preview(path: Path) -> bytes:
     """
     with suppress(DatasetError), parser_errors_as(partial(damaged, path.name)):
         if (image := _image_of(path)) is not None:
-            return _jpeg(image)
+            return thumbnail_jpeg(image)
     return b""
 
 
@@ -114,7 +114,8 @@ def _small(mosaic: Any, level: int) -> bool:
     return max(rows, cols) <= 4 * SIDE_PX
 
 
-def _jpeg(values: NDArray[Any]) -> bytes:
+def thumbnail_jpeg(values: NDArray[Any]) -> bytes:
+    """Return an image [row, col] as a JPEG of at most `SIDE_PX`, its contrast stretched; empty if it has no value."""
     from PIL import Image
 
     step = max(1, max(values.shape) // (4 * SIDE_PX))  # a percentile of all pixels would be slow for no visible gain

@@ -41,6 +41,8 @@ from wafer_viewer.store.io.atomic_files import atomic_write, require_space
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
 MAX_OVERLAP = 0.5
+OVERLAP_FRACTION = 0.1
+"""Overlap of neighbouring fields where it is not given."""
 MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
 
 
@@ -204,7 +206,7 @@ def import_dataset(
     z_step_um: float | None = None,
     pixel_um: float | None = None,
     pattern: str | None = None,
-    overlap_fraction: float = 0.1,
+    overlap_fraction: float = OVERLAP_FRACTION,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
     *,
@@ -314,7 +316,7 @@ def dataset_of(
     srcs: Paths,
     target: Path,
     options: ImageOptions,
-    overlap_fraction: float = 0.1,
+    overlap_fraction: float = OVERLAP_FRACTION,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
     warn: Callable[[str], None] = _say_nothing,
@@ -439,6 +441,19 @@ def _frame(shot: Shot, field: Field, z_um: float, plane: ImagePlane, image: Imag
 
 
 def _job(source: StackSource, first: Image, overlap_fraction: float) -> Job:
+    slots = source.fields[0].slots
+    return Job(
+        fields=placed_fields(source, first, overlap_fraction),
+        sweep=FocusSweep(z_step_um=source.z_step_um.value, n_frames=len(slots)),
+        exposures_us=source.exposures_us or (UNKNOWN_EXPOSURE_US,) * len(slots[0]),
+    )
+
+
+def placed_fields(source: StackSource, first: Image, overlap_fraction: float) -> tuple[Field, ...]:
+    """Return the fields where the files say that they lie, else on a grid by their names, else at 0.
+
+    first: an image, for its size. overlap_fraction: of neighbouring fields, where the files do not say their places.
+    """
     pixel_um = source.pixel_um.value
     grid = FieldGrid(
         rows=1,
@@ -448,16 +463,10 @@ def _job(source: StackSource, first: Image, overlap_fraction: float) -> Job:
         overlap_x_fraction=overlap_fraction,
         overlap_y_fraction=overlap_fraction,
     )
-    slots = source.fields[0].slots
-    return Job(
-        fields=tuple(_placed(source.fields, grid)),
-        sweep=FocusSweep(z_step_um=source.z_step_um.value, n_frames=len(slots)),
-        exposures_us=source.exposures_us or (UNKNOWN_EXPOSURE_US,) * len(slots[0]),
-    )
+    return tuple(_placed(source.fields, grid))
 
 
 def _placed(fields: Sequence[SourceField], grid: FieldGrid) -> Iterator[Field]:
-    """Yield the fields where the files say that they lie, else on a grid by their names, else at 0."""
     cells = [field.cell or (0, n) for n, field in enumerate(fields)]
     top, left = min(row for row, _ in cells), min(col for _, col in cells)
     stated = len(fields) > 1 and all(field.x_um is not None and field.y_um is not None for field in fields)

@@ -35,6 +35,17 @@ UNEVEN = 0.1
 """Largest distance of a stated z from even steps, in steps, at which planes still lie on them."""
 
 
+class UnsettledValue(DatasetError):
+    """A value or a choice that is missing, or is stated several times and differs.
+
+    name: of the length, or of the axis with several names. values: those that differ, empty if it is missing.
+    """
+
+    def __init__(self, message: str, name: str = "", values: tuple[Stated[float], ...] = ()) -> None:
+        super().__init__(message)
+        self.name, self.values = name, values
+
+
 @dataclass(frozen=True, slots=True)
 class SourceField:
     """One field: its slots in rising z, and its stated place.
@@ -208,6 +219,9 @@ def order_doubt(names: Sequence[str], sharpness: NDArray[np.float64]) -> str | N
 # --- statements
 
 
+_TITLES = {"pixel_um": "pixel size", "z_step_um": "z step", "numerical_aperture": "numerical aperture"}
+
+
 def merged_statements(planes: Sequence[ImagePlane], options: ImageOptions) -> Statements:
     """Return what the files say together. Raises DatasetError where they contradict each other."""
     merged = planes[0].says
@@ -221,9 +235,11 @@ def merged_statements(planes: Sequence[ImagePlane], options: ImageOptions) -> St
             (low, a), (high, b) = min(said.items()), max(said.items())
             if not math.isclose(low, high, rel_tol=SAME):
                 title = name.removesuffix("_um").replace("_", " ")
-                raise DatasetError(
+                raise UnsettledValue(
                     f"The images contradict each other: the {title} is {low:g} in {a[1].name} and {high:g} in "
-                    f"{b[1].name}. Import them one by one, or give the right value with --overrule."
+                    f"{b[1].name}. Import them one by one, or give the right value with --overrule.",
+                    _TITLES[name],
+                    tuple(Stated(stated.value, plane.name) for stated, plane in (a, b)),
                 )
     for plane in planes:
         merged = merged.merged(plane.says)
@@ -238,9 +254,11 @@ def _agreed(
         return stated
     differs = stated is not None and not math.isclose(abs(given), abs(stated.value), rel_tol=SAME)
     if stated is not None and differs and not options.overrule:
-        raise DatasetError(
+        raise UnsettledValue(
             f"The {title} is given as {abs(given):g}{unit}, and the images say {abs(stated.value):g}{unit} "
-            f"({stated.source}): leave {flag} out, or give --overrule if the images are wrong."
+            f"({stated.source}): leave {flag} out, or give --overrule if the images are wrong.",
+            title,
+            (Stated(given, "given"), stated),
         )
     return Stated(given, "given")
 
@@ -249,13 +267,17 @@ def _pixel_um(says: Statements, options: ImageOptions) -> Stated[float]:
     if says.pixel_um is not None and says.pixel_y_um is not None and options.pixel_um is None:
         x_um, y_um = says.pixel_um.value, says.pixel_y_um.value
         if not math.isclose(x_um, y_um, rel_tol=SAME):
-            raise DatasetError(
+            raise UnsettledValue(
                 f"The images have pixels of {x_um:g} x {y_um:g} um ({says.pixel_um.source}): resample them to square "
-                "pixels before, or give --pixel-um with --overrule."
+                "pixels before, or give --pixel-um with --overrule.",
+                "pixel size",
+                (says.pixel_um, says.pixel_y_um),
             )
     agreed = _agreed("pixel size", " um", "--pixel-um", options.pixel_um, says.pixel_um, options)
     if agreed is None:
-        raise DatasetError("The pixel size is missing: give it with --pixel-um, the images do not say it.")
+        raise UnsettledValue(
+            "The pixel size is missing: give it with --pixel-um, the images do not say it.", "pixel size"
+        )
     if not 0 < agreed.value < np.inf:
         raise DatasetError(f"The pixel size is {agreed.value:g} um: it must be over 0.")
     return agreed
@@ -327,9 +349,10 @@ def _on_axis(planes: list[ImagePlane], axis: str, choice: str | None, *, needed:
     if choice is None:
         if needed and len(names) > 1:
             shown = ", ".join(name or "unnamed" for name in names[:8]) + (" ..." if len(names) > 8 else "")
-            raise DatasetError(
+            raise UnsettledValue(
                 f"The images have {len(names)} {axis}s: {shown}. Say which to take, as in --{axis} '{names[0]}', or "
-                "its number, from 0."
+                "its number, from 0.",
+                axis,
             )
         return planes
     wanted = next((name for name in names if name.casefold() == choice.casefold()), None)
@@ -397,7 +420,7 @@ def _step(
         return stated, notes
     agreed = _agreed("z step", " um", "--z-step-um", given, stated, options)
     if agreed is None:
-        raise DatasetError("The z step is missing: give it with --z-step-um, the images do not say it.")
+        raise UnsettledValue("The z step is missing: give it with --z-step-um, the images do not say it.", "z step")
     return agreed, notes
 
 
