@@ -1,19 +1,53 @@
-"""Surface files of a session that stands still: by their endings, and no file is read."""
+"""Files of a session that stands still: surfaces by their endings; images are looked at where a test wants it."""
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from tests.browser.recording import Recording
-from wafer_viewer.session.files.file_jobs import FileJobs
+from tests.browser.recording import Recording, done, refused
+from wafer_viewer.model.acquisition.image_source import ImageOptions
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface_format import Reading
+from wafer_viewer.session.core.background_work import RunningWork
+from wafer_viewer.session.files.file_jobs import MOST_PICTURES, FileJobs, ImportLook
+from wafer_viewer.session.surface.worker_tasks import look_at_files
 
 
 class FakeExchange(Recording):
-    """Says what is a surface file by its ending; what comes in is remembered as asked."""
+    """Says what is a surface file by its ending; what comes in is remembered as asked.
+
+    A look at files goes on for ever, unless `looks` is set: it is then over at once.
+    """
+
+    looks = False
 
     def __init__(self, session: Any) -> None:
         super().__init__(FileJobs, session._done, "exchange.")
+        self.looked: list[tuple[tuple[Path, ...], ImageOptions]] = []
+        self.stopped: list[str] = []
 
     def is_surface(self, path: Path) -> bool:
         return path.suffix in (".x3p", ".gsf")
+
+    def look(
+        self,
+        srcs: tuple[Path, ...],
+        options: ImageOptions = ImageOptions(),
+        says: Reading = Reading(),
+        name: str | None = None,
+    ) -> Future[RunningWork[ImportLook]]:
+        self.looked.append((srcs, options))
+        over: Future[Any] = Future()
+        if self.looks:
+            try:
+                found = look_at_files(srcs, options, says, MOST_PICTURES)
+                over = done(ImportLook(*found, Path("/tmp/wafers") / f"{srcs[0].stem}.wafer"))
+            except DatasetError as fault:
+                over = refused(fault)
+        return done(RunningWork(f"look-{len(self.looked)}", over))
+
+    def stop_look(self, work_id: str) -> Future[None]:
+        self.stopped.append(work_id)
+        return done()

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from wafer_viewer.draw.charts.axes import Axes, Axis, Ends, Floats, PlotLook, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.colormaps import BRUSH, PROFILE_COLOURS
 from wafer_viewer.draw.number_format import number, round_step, share, with_unit
+from wafer_viewer.model.file_contents import FrameFact
 from wafer_viewer.model.measurement.measurements import StepProfile
 from wafer_viewer.model.measurement.sections import Section, SlabPoints
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
@@ -38,6 +39,58 @@ def focus_plot_html(curve: FocusCurve, height_px: int, over: str = "") -> Markup
     )
     words = Markup("").join((_peak_label(axes, curve), *(_rival_label(axes, rival) for rival in _named(axes, curve))))
     return plot_html(axes, look, drawn, words + over)
+
+
+PLACE_COLOURS = (*PROFILE_COLOURS, "var(--ink3)")
+"""Colours of the places of a frame."""
+_Z_MARGIN = 0.02
+
+
+def sharpness_plot_html(frames: Sequence[FrameFact], height_px: int) -> Markup:
+    """Return the plot of sharpness over z at the places of the frames; gaps between frames are marked.
+
+    Frames of unknown z are drawn over their number.
+    """
+    known = all(frame.z_um is not None for frame in frames)
+    z_um = [frame.z_um if known and frame.z_um is not None else float(n) for n, frame in enumerate(frames)]
+    margin = _Z_MARGIN * (max(z_um) - min(z_um))
+    ends = min(z_um) - margin, max(z_um) + margin
+    axes = Axes.stretched(ends, (0.0, 1.06), round_ticks(ends, 8), _SHARPNESS_TICKS)
+    x_title = "z, µm" if known else "frame"
+    look = PlotLook("Sharpness", "sharpness", x_title, top_px=4, style=f"height:{height_px}px")
+    n_places = max((len(frame.sharpness) for frame in frames), default=0)
+    gaps = [_gap(axes, z_um, n) for n, frame in enumerate(frames) if not frame.name]
+    curves = [_place_curve(axes, z_um, frames, place) for place in range(n_places)]
+    return plot_html(axes, look, Markup("").join([*gaps, *curves]))
+
+
+_SHARPNESS_TICKS = ((0.0, "0"), (0.5, "0.5"), (1.0, "1"))
+
+
+def _gap(axes: Axes, z_um: Sequence[float], n: int) -> Markup:
+    """Return the band from the frame before a missing one to the frame after it, half-way."""
+    low, high = ((z_um[n] + z_um[min(max(m, 0), len(z_um) - 1)]) / 2 for m in (n - 1, n + 1))
+    left, right = sorted((axes.x.at(low), axes.x.at(high)))
+    foot, top = axes.y.span
+    return Markup(
+        '<rect x="{:.1f}" y="{:g}" width="{:.1f}" height="{:g}" fill="var(--attention)" fill-opacity=".2">'
+        "<title>no frame</title></rect>"
+    ).format(left, top, right - left, foot - top)
+
+
+def _place_curve(axes: Axes, z_um: Sequence[float], frames: Sequence[FrameFact], place: int) -> Markup:
+    """Return the curve of one place, which breaks where a frame is missing."""
+    points = [
+        f"{axes.x.at(z):.1f} {axes.y.at(frame.sharpness[place]):.1f}" if len(frame.sharpness) > place else ""
+        for z, frame in zip(z_um, frames, strict=True)
+    ]
+    line = "".join(f"{'L' if n and points[n - 1] else 'M'}{point}" for n, point in enumerate(points) if point)
+    dots = "".join(f"M{point}h.01" for point in points if point)
+    colour = PLACE_COLOURS[place % len(PLACE_COLOURS)]
+    return Markup(
+        '<g style="stroke:{}"><path d="{}" stroke-width="1.5" stroke-opacity=".75"/>'
+        '<path d="{}" stroke-width="5" stroke-linecap="round"/></g>'
+    ).format(colour, line, dots)
 
 
 def _point(axes: Axes, z_um: float, focus: float) -> str:

@@ -126,6 +126,7 @@ FIELDS: dict[str, str] = {
     "z step, µm": _limited("Between two images of the stack, µm", FocusSweep, "z_step_um"),
     "Pixel, µm": "Size of a pixel on the sample, µm; over 0",
     "Pattern": "How files are named, r{row}_c{col}_k{k}.tif; empty for one stack",
+    "Only": "Files to take, by a pattern of their names such as img_*.png; empty: all",
     "Format": "The ending of the file follows",
     "One pixel in": "Density: every n-th row and column is written; 1 for all",
     "z unit": "Unit of the heights of a surface file, such as um; of points the unit of x and y, too",
@@ -211,13 +212,15 @@ class KeepOpen(Exception):
 class Dialog:
     """Modal dialog with one button that acts and one that cancels."""
 
-    def __init__(self, page: Page, title: str, below: str) -> None:
+    def __init__(self, page: Page, title: str, below: str, on_close: Callable[[], None] = lambda: None) -> None:
         self.page = page
         self.modal = page.gui.add_modal(title)
+        self._on_close = on_close
         self.press: Callable[[], None] = lambda: None
         """Run the action of the confirming button."""
-        with self.modal:
-            HtmlBlock(page.gui, Markup('<div class="wv-sub">{}</div>').format(below))
+        if below:
+            with self.modal:
+                HtmlBlock(page.gui, Markup('<div class="wv-sub">{}</div>').format(below))
 
     def answers(
         self,
@@ -228,10 +231,11 @@ class Dialog:
         away: str = "Cancel",
         *,
         needs_control: bool = True,
-    ) -> None:
-        """Add the two buttons at the foot. If `act` raises, the dialog stays open and shows the error.
+    ) -> Any:
+        """Add the two buttons at the foot and return the one that acts.
 
-        needs_control: False for an action that only reads, exports or asks for control.
+        If `act` raises, the dialog stays open and shows the error. needs_control: False for an action that only reads,
+        exports or asks for control.
         """
         with self.modal:
             problem = HtmlBlock(self.page.gui)
@@ -242,6 +246,7 @@ class Dialog:
             in_a_row(self.page.gui, [leave, do], 38, filled=do)
             HtmlBlock(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
         add_hints(self.page.gui)
+        return do
 
     def close_button(self, name: str) -> None:
         """Add the single close button of an information dialog."""
@@ -254,6 +259,7 @@ class Dialog:
         """Close the dialog."""
         if not self.modal.closed:
             self.modal.close()
+            self._on_close()
 
     def _do(self, act: Callable[[], None], problem: HtmlBlock) -> None:
         try:

@@ -103,12 +103,21 @@ class FileList:
             raise DatasetError(f"{len(paths)} files are chosen: choose one.")
         return paths[0]
 
-    def paths(self) -> tuple[Path, ...]:
-        """Return the chosen paths, all of which exist. Raises DatasetError if there is none."""
+    def chosen(self) -> tuple[Path, ...]:
+        """Return the paths in the field, all of which exist. Raises DatasetError if there is none."""
         texts = _texts(self.field.value)
         if len(texts) == 1 and (sent := self._sent.get(texts[0])) is not None:
             return (sent,)
-        paths = tuple(self._browsing.existing(text, self._base) for text in texts)
+        return tuple(self._browsing.existing(text, self._base) for text in texts)
+
+    def paths(self) -> tuple[Path, ...]:
+        """Return the chosen paths and remember them; a folder that cannot be chosen is shown instead.
+
+        Raises DatasetError if there is none.
+        """
+        paths = self.chosen()
+        if set(paths) <= set(self._sent.values()):
+            return paths
         folders = [p for p in paths if p.is_dir() and not p.name.endswith(".wafer")]
         if folders and not self.kind.takes_folder:
             self.go(folders[0])

@@ -17,9 +17,7 @@ from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.surface import surface_name
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
-from wafer_viewer.gui.widgets.number_field import OptionalNumber
-from wafer_viewer.model.acquisition.image_source import ImageOptions
+from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.region import Region
@@ -138,57 +136,6 @@ def load_plan_dialog(page: Page) -> None:
         page.ask("The plan was not loaded", page.session.load_plan(files.path()))
 
     dialog.answers("Load", viser.Icon.FOLDER_OPEN, load, "The plan was not loaded")
-
-
-def import_dialog(page: Page) -> None:
-    """Open the import dialog: folder of images, multi-page TIFF or surface file, also as an upload."""
-    below = "A folder of images, several files, a multi-page TIFF, a microscope's file; or a surface file."
-    dialog = Dialog(page, "Import images or a surface", below)
-    gui = page.gui
-    with dialog.modal:
-        files = FileList(dialog, "images", rows=4)
-        files.add_upload()
-        duo(gui)
-        step = OptionalNumber(gui, "z step, µm")
-        pixel = OptionalNumber(gui, "Pixel, µm", over=0)
-        duo(gui)
-        aperture = OptionalNumber(gui, "NA", over=0, hint="Numerical aperture of the objective; tests walls by it")
-        light = OptionalNumber(gui, "Light, µm", over=0, hint="Wavelength; empty: 0.55 µm")
-        duo(gui)
-        name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
-        pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
-        duo(gui)
-        channel = gui.add_text("Channel", "", hint="Name or number from 0, where the files have several")
-        time = gui.add_text("Time", "", hint="Number from 0, where the files have several")
-        duo(gui)
-        position = gui.add_text("Position", "", hint="Of one field; empty: all, where the files say that they lie")
-        overrule = gui.add_checkbox("Overrule", False, hint="Take the given lengths where the files state others")
-        HtmlBlock(gui, html.head("Surface file", "where the file does not say it"))
-        duo(gui)
-        unit = gui.add_text("z unit", "")
-        depths = gui.add_checkbox("Depths", False)
-
-    def begin() -> None:
-        sources, called = files.paths(), name.value.strip() or None
-        if len(sources) == 1 and page.session.exchange.is_surface(sources[0]):
-            says = Reading(z_unit=unit.value.strip() or None, pixel_um=pixel.value, invert_z=depths.value)
-            open_surface(page, sources[0], says, called)
-            return
-        options = ImageOptions(
-            z_step_um=step.value,
-            pixel_um=pixel.value,
-            pattern=pattern.value.strip() or None,
-            numerical_aperture=aperture.value,
-            wavelength_um=light.value,
-            channel=channel.value.strip() or None,
-            time=time.value.strip() or None,
-            position=position.value.strip() or None,
-            overrule=overrule.value,
-        )
-        done = page.session.import_images(sources, options, name=called)
-        page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
-
-    dialog.answers("Import", viser.Icon.PHOTO_PLUS, begin, "Import stopped")
 
 
 def export_dialog(page: Page) -> None:

@@ -35,7 +35,8 @@ from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
 from wafer_viewer.gui.live.live_places import LivePlaces
 from wafer_viewer.gui.measure.result_list import ResultList
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
-from wafer_viewer.gui.page.import_export_dialogs import import_dialog, open_dialog
+from wafer_viewer.gui.page.import_dialog import import_dialog
+from wafer_viewer.gui.page.import_export_dialogs import open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
 from wafer_viewer.gui.presenters.results import ReviewItem

@@ -20,11 +20,11 @@ from wafer_viewer.gui.measure.profile_views import LineVerbs
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES
+from wafer_viewer.gui.page.import_dialog import import_dialog
 from wafer_viewer.gui.page.import_export_dialogs import (
     audit_dialog,
     export_dialog,
     export_fields_dialog,
-    import_dialog,
     load_plan_dialog,
     open_dialog,
 )

@@ -1,0 +1,343 @@
+"""HTML of the import dialog: files in the order of z, frames, the order that they support, facts, places and result."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import viser
+from markupsafe import Markup
+
+from wafer_viewer.draw.charts.profile_plot import sharpness_plot_html
+from wafer_viewer.draw.number_format import THIN, number, size, with_unit
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.acquisition.image_source import ImageOptions
+from wafer_viewer.model.file_contents import Fact, FileContents, FrameFact
+from wafer_viewer.model.surface_format import Reading
+
+MOST_ROWS = 300
+"""Files listed in the order of z; of more the first and the last ones."""
+CHART_PX = 172
+ONE_PEAK = 0.2
+"""Largest rise of sharpness, relative to its maximum, that is no second peak of a place."""
+FEWEST_FRAMES = 6
+"""Frames below which another order is supported by chance."""
+LABELS = {
+    "--pixel-um": "Pixel",
+    "--z-step-um": "z step",
+    "--na": "NA",
+    "--channel": "Channel",
+    "--time": "Time",
+    "--position": "Position",
+    "--only": "Only",
+    "--pattern": "Pattern",
+    "--z-unit": "z unit",
+    "--as-listed": "Take all files",
+}
+"""Labels of the dialog by the flags of the command line, which messages name."""
+FIELDS_OF_FACTS = "pixel size", "z step", "numerical aperture"
+"""Facts that have a field of their own in the dialog."""
+
+
+_PHRASES = (
+    (r"leave (--[\w-]+) out", r"empty \1"),
+    (r"give --overrule", "take the typed values"),
+    (r" with --overrule", " and take the typed values"),
+    (r" with --as-listed", " below"),
+    (r"with (--[\w-]+)", r"under \1"),
+    (r"as in (--[\w-]+)", r"as \1"),
+)
+"""What the dialog says instead of phrases with a flag."""
+
+
+def page_words(text: str) -> str:
+    """Return a message that names flags with the labels of the dialog, and units as the page writes them."""
+    for pattern, words in _PHRASES:
+        text = re.sub(pattern, words, text)
+    text = re.sub(r"--[\w-]+", lambda flag: LABELS.get(flag[0], flag[0]), text)
+    return html.with_micro_sign(text)
+
+
+# --- files and frames
+
+
+def summary(contents: FileContents) -> str:
+    """Return the line under the title."""
+    n_files = next((fact.value for fact in contents.facts if fact.name == "files"), "1")
+    files = "1 file" if n_files == "1" else f"{n_files} files"
+    return f"{contents.name} · {files} · nothing is copied before you press Import"
+
+
+def files_html(contents: FileContents, take_all: bool) -> Markup:
+    """Return the files in the order of their z, what is missing, and what is left out. take_all: none is."""
+    rows = [_file_row(frame) for frame in contents.frames]
+    if len(rows) > MOST_ROWS:
+        half = MOST_ROWS // 2
+        more = Markup('<div class="off"><i></i><span>{} more</span><b></b></div>').format(len(rows) - 2 * half)
+        rows = [*rows[:half], more, *rows[-half:]]
+    out = [_line("off", viser.Icon.CIRCLE_MINUS, name, "left out") for name in contents.left_out[:MOST_ROWS]]
+    listed = Markup('<div class="wv-imp-files">{}</div>').format(Markup("").join([*rows, *out]))
+    notes = [note for note in contents.notes if "left out" in note]
+    if notes and not take_all:
+        link = html.note("busy", "", " ".join(map(page_words, notes)), _toggle("as-listed", "Take all files"))
+    elif take_all:
+        link = html.note("busy", "", "All files are taken as listed.", _toggle("as-listed", "Sort them out again"))
+    else:
+        link = Markup()
+    return html.head("Files", "in the order of their z", first=True) + listed + link
+
+
+def _file_row(frame: FrameFact) -> Markup:
+    z = "" if frame.z_um is None else number(frame.z_um, 1, signed=True)
+    if not frame.name:
+        return _line("missing", viser.Icon.ALERT_TRIANGLE, "a frame is missing", z)
+    return _line("", viser.Icon.CHECK, frame.name, z)
+
+
+def _line(look: str, icon: object, name: str, right: str) -> Markup:
+    return Markup('<div class="{}">{}<span title="{}">{}</span><b>{}</b></div>').format(
+        look, html.icon(icon, 14), name, name, right
+    )
+
+
+def _toggle(what: str, words: str) -> Markup:
+    return Markup('<span class="wv-link" {}>{}</span>').format(html.pick("import-toggle", what), words)
+
+
+def frames_html(contents: FileContents, thumbnails: Mapping[int, bytes]) -> Markup:
+    """Return the strip of frames with their z; those beside a gap have an amber rim."""
+    frames = contents.frames
+    pictures = Markup("").join(_picture(frames, k, thumbnails[k]) for k in sorted(thumbnails))
+    images = next((fact.value for fact in contents.facts if fact.name == "images"), "")
+    n = len(frames) - contents.n_missing
+    part = f" · {len(thumbnails)} of {n} shown" if len(thumbnails) < n else ""
+    return html.head("Frames", html.with_micro_sign(images).replace(" x ", " × ") + part, first=True) + Markup(
+        '<div class="wv-imp-strip">{}</div>'
+    ).format(pictures)
+
+
+def _picture(frames: Sequence[FrameFact], k: int, jpeg: bytes) -> Markup:
+    beside_gap = any(0 <= m < len(frames) and not frames[m].name for m in (k - 1, k + 1))
+    z_um = frames[k].z_um
+    words = f"frame {k}" if z_um is None else with_unit(z_um, 1, signed=True)
+    return Markup(
+        '<figure class="{look}" title="{name}"><img alt="{name}" src="data:image/jpeg;base64,{data}">'
+        "<figcaption>{words}</figcaption></figure>"
+    ).format(
+        look="gap" if beside_gap else "",
+        name=frames[k].name,
+        data=base64.b64encode(jpeg).decode(),
+        words=words,
+    )
+
+
+# --- order
+
+
+def order_html(contents: FileContents) -> Markup:
+    """Return the plot of sharpness over z, and a sentence on the order that it supports."""
+    if not any(frame.sharpness for frame in contents.frames):
+        return Markup()
+    head = html.head("Does the order hold?", "sharpness at five places of the frame, each of its largest")
+    return head + sharpness_plot_html(contents.frames, CHART_PX) + _support(contents)
+
+
+def places_with_one_peak(frames: Sequence[FrameFact]) -> tuple[int, int]:
+    """Return how many places grow sharp once and blur again, and how many there are."""
+    curves = list(zip(*(frame.sharpness for frame in frames if frame.sharpness), strict=True))
+    return sum(_has_one_peak(curve) for curve in curves), len(curves)
+
+
+def _has_one_peak(curve: Sequence[float]) -> bool:
+    """Return whether sharpness never falls by more than `ONE_PEAK` before its maximum or rises so after it."""
+    peak = max(range(len(curve)), key=curve.__getitem__)
+    return all(
+        max(side[: n + 1]) - value <= ONE_PEAK
+        for side in (curve[: peak + 1], curve[peak:][::-1])
+        for n, value in enumerate(side)
+    )
+
+
+def _support(contents: FileContents) -> Markup:
+    single, every = places_with_one_peak(contents.frames)
+    source = next((fact.source for fact in contents.facts if fact.name == "z step"), "")
+    stated = "the sign of the typed z step" if source == "given" else f"the {source}"
+    ends = f"They cannot tell which end is up: {stated} says it." if "z step" not in contents.unsettled else ""
+    ends = ends.replace("names of the files says", "names of the files say")
+    if any("contradict the order" in doubt for doubt in contents.doubts):
+        return Markup()
+    if len(contents.frames) - contents.n_missing < FEWEST_FRAMES:
+        return html.note("busy", "Too few frames to test the order.", "It is taken from the files.")
+    if single >= every - 1:
+        text = f"{single} of {every} places grow sharp once and blur again. {ends}"
+        return html.note("good", "The pictures support this order.", text, sign=html.icon(viser.Icon.CHECK, 17))
+    text = f"{single} of {every} places have one peak; no other order has more. {ends}"
+    return html.note("busy", "The pictures do not decide the order.", text, sign=html.icon(viser.Icon.INFO_CIRCLE, 17))
+
+
+def doubts_html(contents: FileContents, options: ImageOptions) -> Markup:
+    """Return the gap and the doubts, with what settles them, and the notes on how the files are read."""
+    return Markup("").join(_doubts(contents, options))
+
+
+def _doubts(contents: FileContents, options: ImageOptions) -> Iterator[Markup]:
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 17)
+    if contents.n_missing:
+        zs = [with_unit(f.z_um, 1, signed=True) for f in contents.frames if not f.name and f.z_um is not None]
+        where = f" at {', '.join(zs[:4])}{' …' if len(zs) > 4 else ''}" if zs else ""
+        what = "1 frame is missing" if contents.n_missing == 1 else f"{contents.n_missing} frames are missing"
+        text = "Heights beside it are less certain; the frames above keep their z."
+        no_gap = _toggle("as-listed", "There is no gap: number the frames anew")
+        yield html.note("attention", f"{what}{where}.", text, no_gap, sign)
+    for doubt in contents.doubts:
+        disputed = "contradict each other" in doubt or "given as" in doubt
+        foot = Markup()
+        if "--as-listed" in doubt:
+            foot = _toggle("as-listed", "The present order is right")
+        elif "--overrule" in doubt and disputed:
+            foot = _toggle("overrule", "Take the typed values")
+        yield html.note("fault" if disputed else "attention", "To settle", page_words(doubt), foot, sign)
+    if options.overrule:
+        back = _toggle("overrule", "Take those of the files")
+        yield html.note("attention", "Typed values are taken where the files state others.", "", back, sign)
+    notes = [note for note in contents.notes if "left out" not in note and "missing" not in note]
+    if notes:
+        lines = Markup("").join(Markup("<div>{}</div>").format(page_words(note)) for note in notes)
+        yield Markup('<div class="wv-notes">{}</div>').format(lines)
+
+
+# --- facts and places
+
+
+def source_html(contents: FileContents | None, name: str, label: str, typed: bool) -> Markup:
+    """Return the line under the field of a value: its source, both values that differ, or that it is unknown.
+
+    label: of the field, which shows the value of the files while it is empty.
+    """
+    fact = None if contents is None else next((fact for fact in contents.facts if fact.name == name), None)
+    open_ = contents is not None and name in contents.unsettled
+    if typed and not (open_ and fact is not None and fact.value):
+        return _source("", "typed")
+    if contents is None:
+        return Markup()
+    if fact is None or not fact.value:
+        return _source("attention" if open_ else "", "not in the files")
+    if open_:
+        return _source("fault", f"{html.with_micro_sign(fact.value)}: {fact.source.replace('given', 'typed')}")
+    states = Markup('data-states="{}" data-value="{}"').format(label, fact.value.split()[0])
+    return _source("", fact.source, states)
+
+
+def _source(tone: str, words: str, more: Markup | Literal[""] = "") -> Markup:
+    return Markup('<div class="wv-imp-source {}" {}>{}</div>').format(tone, more, words)
+
+
+def facts_html(contents: FileContents | None) -> Markup:
+    """Return the facts that have no field, each with its source."""
+    if contents is None:
+        return Markup()
+    shown = [fact for fact in contents.facts if fact.name not in FIELDS_OF_FACTS and fact.name != "images"]
+    return Markup('<div class="wv-imp-facts">{}</div>').format(Markup("").join(_fact(fact) for fact in shown))
+
+
+def _fact(fact: Fact) -> Markup:
+    tone = "attention" if fact.name == "missing frames" or fact.value == "simulated" else ""
+    value = html.with_micro_sign(fact.value).replace(" x ", " × ")
+    source = Markup("<small>{}</small>").format(fact.source) if fact.source else Markup()
+    return Markup('<div><span>{}</span><span class="{}">{}{}</span></div>').format(
+        fact.name[:1].upper() + fact.name[1:], tone, value, source
+    )
+
+
+_MAP_PX = (264, 118)
+
+
+def place_html(contents: FileContents | None) -> Markup:
+    """Return the drawing of the fields on the sample, with the size of the whole."""
+    if contents is None or contents.kind != "images":
+        return Markup()
+    if contents.field_um is None:
+        return html.empty("Waits for the size of a pixel.")
+    width_um, height_um = contents.field_um
+    xs, ys = zip(*contents.places_um, strict=True)
+    across_um, down_um = max(xs) - min(xs) + width_um, max(ys) - min(ys) + height_um
+    scale = min(_MAP_PX[0] / across_um, _MAP_PX[1] / down_um)
+    fields = [
+        Markup('<rect x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}"/>').format(
+            (x - min(xs)) * scale, (max(ys) - y) * scale, width_um * scale, height_um * scale
+        )
+        for x, y in contents.places_um
+    ]
+    drawing = Markup(
+        '<svg width="{w:.0f}" height="{h:.0f}" viewBox="-1 -1 {w:.0f} {h:.0f}" role="img" aria-label="Fields">{f}</svg>'
+    ).format(w=across_um * scale + 2, h=down_um * scale + 2, f=Markup("").join(fields))
+    caption = f"{number(across_um, 0)} × {number(down_um, 0)}{THIN}µm"
+    return Markup('<div class="wv-imp-place">{}<div>{}</div></div>').format(drawing, caption)
+
+
+def fields_words(contents: FileContents | None) -> str:
+    """Return the number of fields."""
+    return "" if contents is None else "1 field" if contents.fields == 1 else f"{contents.fields} fields"
+
+
+# --- result
+
+
+def button_words(contents: FileContents | None, options: ImageOptions) -> str:
+    """Return the label of the button that imports: it names a gap, and what the user overrules."""
+    if contents is None:
+        return "Import"
+    if options.overrule:
+        return "Import with the typed values"
+    if contents.n_missing:
+        return "Import with the gap" if contents.n_missing == 1 else f"Import with {contents.n_missing} gaps"
+    return "Import as listed" if options.as_listed else "Import"
+
+
+def why_not(contents: FileContents | None) -> str:
+    """Return what has to be settled before the import, empty if nothing has."""
+    if contents is None:
+        return ""
+    if contents.kind == "dataset":
+        return "This is a dataset already: open it with Open…"
+    if contents.unsettled:
+        return f"settle {' and '.join(contents.unsettled)}."
+    return page_words(" ".join(contents.doubts[:1]))
+
+
+def foot_html(contents: FileContents, out: Path, command: str) -> Markup:
+    """Return what the import makes, how large and where, and the same as a command line."""
+    if why := why_not(contents):
+        what = Markup('<div class="wv-imp-not">Not yet: {}</div>').format(why)
+    else:
+        n = len(contents.frames) - contents.n_missing
+        gaps = (
+            ""
+            if not contents.n_missing
+            else " and one gap"
+            if contents.n_missing == 1
+            else (f" and {contents.n_missing} gaps")
+        )
+        made = "A surface" if contents.kind == "surface" else f"{fields_words(contents)}, {n} frames{gaps}"
+        weight = f", {size(contents.n_bytes)}" if contents.n_bytes else ""
+        what = Markup("<div><b>{} → </b>{}{}, in {}</div>").format(made, out.name, weight, out.parent)
+        what += Markup('<div class="wv-imp-same">same as: <code>{}</code></div>').format(command)
+    return Markup('<div class="wv-imp-foot">{}</div>').format(what)
+
+
+def command_line(sources: Sequence[Path], options: ImageOptions, says: Reading, out: Path) -> str:
+    """Return the command that makes the same import."""
+    words = ["wafer-viewer", "import", *map(str, sources)]
+    given = {name: getattr(options, name) for name in options.__struct_fields__}
+    given |= {"z_unit": says.z_unit, "invert_z": says.invert_z}
+    standard = ImageOptions()
+    for name, value in given.items():
+        if value == getattr(standard, name, None) or value is False or value is None:
+            continue
+        flag = "--na" if name == "numerical_aperture" else f"--{name.replace('_', '-')}"
+        words += [flag] if value is True else [flag, f"{value:g}" if isinstance(value, float) else str(value)]
+    return shlex.join([*words, "-o", out.name])
