@@ -39,6 +39,22 @@ def import_dialog(page: Page) -> None:
     ImportDialog(page)
 
 
+def take_drops(page: Page) -> None:
+    """Open the import dialog on a file that is dropped on the page; the browser sends it to the dialog."""
+
+    def dropped(n_files: str) -> None:
+        import_dialog(page)
+        _warn_of_several(page, n_files)
+
+    page.on_pick("import-drop", dropped)
+
+
+def _warn_of_several(page: Page, n_files: str) -> None:
+    if n_files != "1":
+        text = "Copy a folder of images to the computer of the viewer and choose it there."
+        page.say("Only the first file is sent", text, "attention")
+
+
 class ImportDialog:
     """List of files on the left until one is chosen, then what they hold; values and choices on the right."""
 
@@ -47,6 +63,8 @@ class ImportDialog:
         self._dialog = dialog = Dialog(page, "Import images or a surface", "", on_close=self._leave)
         self._id, self._work = 0, None
         self._look: ImportLook | None = None
+        self._sources: tuple[Path, ...] = ()
+        self._asked = ImageOptions(), Reading()
         self._problem = ""
         self._as_listed = self._overrule = False
         self._debounced = Debouncer(self._begin, guarded(page, FAILED), PAUSE_S)
@@ -55,12 +73,9 @@ class ImportDialog:
             self._sub = HtmlBlock(gui, _sub("A folder of images, several files, a multi-page TIFF; or a surface file."))
             self._progress = HtmlBlock(gui)
             add_html(gui, Markup('<div class="wv-import"></div>'))
-            self._browse = gui.add_folder("·")
-            with self._browse:
+            with gui.add_folder("·"):
                 self._files = FileList(dialog, "images", rows=6)
                 self._files.add_upload(then=self.changed)
-            self._found = gui.add_folder("·", visible=False)
-            with self._found:
                 self._contents = HtmlBlock(gui)
             with gui.add_folder("·"):
                 self._build_values()
@@ -71,6 +86,7 @@ class ImportDialog:
         self._files.field.on_update(lambda _: self.changed())
         page.on_pick("import-toggle", self._toggle)
         page.on_pick("import-other", lambda _: self._choose_other())
+        page.on_pick("import-drop", lambda n_files: _warn_of_several(page, n_files))
         self._unsubscribe = page.session.subscribe(self._show_progress)
 
     def _build_values(self) -> None:
@@ -121,7 +137,6 @@ class ImportDialog:
     def _choose_other(self) -> None:
         self._stop()
         self._forget()
-        self._files.field.value = ""
         self._show()
 
     def _import(self) -> None:
@@ -172,7 +187,7 @@ class ImportDialog:
             if self._sources != sources:
                 self._forget()
                 self._sources = sources
-            asked = sources, self._options(), self._reading(), self._name.value.strip() or None
+            self._asked = self._options(), self._reading()
         except WaferViewerError as fault:
             self._problem = "" if self._files.is_empty else str(fault)
             self._show()
@@ -180,10 +195,9 @@ class ImportDialog:
         look_id = self._id = next(_looks)
         self._problem = ""
         self._progress.show(_progress(None))
-        begun = self._page.session.exchange.look(*asked)
+        name = self._name.value.strip() or None
+        begun = self._page.session.exchange.look(sources, *self._asked, name)
         begun.add_done_callback(lambda done: self._began(look_id, done))
-
-    _sources: tuple[Path, ...] = ()
 
     def _began(self, look_id: int, begun: Future[RunningWork[ImportLook]]) -> None:
         if begun.cancelled() or begun.exception() is not None:
@@ -220,8 +234,10 @@ class ImportDialog:
         self._as_listed = self._overrule = False
         for handle in self._choices.values():
             set_prop(handle, "visible", False)
+            handle.value = handle.options[0]
 
     def _leave(self) -> None:
+        take_drops(self._page)
         self._stop()
         self._unsubscribe()
 
@@ -236,25 +252,24 @@ class ImportDialog:
             self._progress.show(_progress(share))
 
     def _show(self) -> None:
+        options, reading = self._asked
         contents = None if self._look is None else self._look.contents
         self._progress.show(Markup() if not self._problem else _problem(self._problem))
         self._show_values(contents)
-        set_prop(self._browse, "visible", contents is None)
-        set_prop(self._found, "visible", contents is not None)
         if contents is None or self._look is None:
             self._foot.show("")
+            self._contents.show("")
             self._sub.show(_sub("A folder of images, several files, a multi-page TIFF; or a surface file."))
         else:
-            options = self._options()
             other = Markup('<span class="wv-link" {}>Other files…</span>').format(html.pick("import-other"))
             self._sub.show(_sub(words.summary(contents), other))
             self._contents.show(_contents(self._look, options))
             out = self._look.out
             if name := self._name.value.strip():
                 out = out.with_name(f"{Path(name).name.removesuffix(out.suffix)}{out.suffix}")
-            command = words.command_line(self._sources, options, self._reading(), out)
+            command = words.command_line(self._sources, options, reading, out)
             self._foot.show(words.foot_html(contents, out, command))
-        set_prop(self._button, "label", words.button_words(contents, self._options()))
+        set_prop(self._button, "label", words.button_words(contents, options))
         set_prop(self._button, "disabled", bool(words.why_not(contents)))
 
     def _show_values(self, contents: FileContents | None) -> None:
@@ -271,7 +286,7 @@ class ImportDialog:
             if names and handle.options != options:
                 handle.options = options
             set_prop(handle, "visible", bool(names))
-        self._facts.show(words.facts_html(contents))
+        self._facts.show(words.facts_html(contents) if images else "")
         self._place_head.show(html.head("Place on the sample", words.fields_words(contents)) if images else "")
         self._place.show(words.place_html(contents))
 
@@ -308,12 +323,13 @@ def _name_of(handle: Any, names: tuple[str, ...]) -> str | None:
 def _contents(look: ImportLook, options: ImageOptions) -> Markup:
     found = look.contents
     if found.kind != "images":
-        return words.doubts_html(found, options)
-    return Markup('<div class="wv-imp-found"><div>{}</div><div>{}{}{}</div></div>').format(
+        return Markup('<div class="wv-imp-shown">{}</div>').format(words.surface_html(found, options))
+    return Markup('<div class="wv-imp-shown wv-imp-found"><div>{}</div><div>{}{}{}{}</div></div>').format(
         words.files_html(found, options.as_listed),
+        words.doubts_html(found, options),
         words.frames_html(found, look.thumbnails),
         words.order_html(found),
-        words.doubts_html(found, options),
+        words.notes_html(found),
     )
 
 
@@ -326,4 +342,4 @@ def _progress(fraction: float | None) -> Markup:
 
 
 def _problem(text: str) -> Markup:
-    return Markup('<div class="wv-lab wv-file-told">{}</div>').format(words.page_words(text))
+    return Markup('<div class="wv-lab wv-file-told">{}</div>').format(words.reason(text))

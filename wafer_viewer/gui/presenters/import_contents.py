@@ -7,13 +7,12 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.profile_plot import sharpness_plot_html
-from wafer_viewer.draw.number_format import THIN, number, size, with_unit
+from wafer_viewer.draw.number_format import MINUS, THIN, number, size, with_unit
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.file_contents import Fact, FileContents, FrameFact
@@ -62,6 +61,12 @@ def page_words(text: str) -> str:
     return html.with_micro_sign(text)
 
 
+def reason(text: str) -> str:
+    """Return the message of a failed import without what is clear before one: that it stopped and wrote nothing."""
+    text = re.sub(r"^Import stopped at [^:]*: ", "", text.replace("Nothing was written. ", ""))
+    return page_words(text[:1].upper() + text[1:])
+
+
 # --- files and frames
 
 
@@ -74,7 +79,7 @@ def summary(contents: FileContents) -> str:
 
 def files_html(contents: FileContents, take_all: bool) -> Markup:
     """Return the files in the order of their z, what is missing, and what is left out. take_all: none is."""
-    rows = [_file_row(frame) for frame in contents.frames]
+    rows = [_file_row(frame, contents.name) for frame in contents.frames]
     if len(rows) > MOST_ROWS:
         half = MOST_ROWS // 2
         more = Markup('<div class="off"><i></i><span>{} more</span><b></b></div>').format(len(rows) - 2 * half)
@@ -88,14 +93,15 @@ def files_html(contents: FileContents, take_all: bool) -> Markup:
         link = html.note("busy", "", "All files are taken as listed.", _toggle("as-listed", "Sort them out again"))
     else:
         link = Markup()
-    return html.head("Files", "in the order of their z", first=True) + listed + link
+    order = "in the order of their z" if contents.fields == 1 else "first field, by z"
+    return html.head("Files", order, first=True) + listed + link
 
 
-def _file_row(frame: FrameFact) -> Markup:
+def _file_row(frame: FrameFact, source: str) -> Markup:
     z = "" if frame.z_um is None else number(frame.z_um, 1, signed=True)
     if not frame.name:
         return _line("missing", viser.Icon.ALERT_TRIANGLE, "a frame is missing", z)
-    return _line("", viser.Icon.CHECK, frame.name, z)
+    return _line("", viser.Icon.CHECK, frame.name.removeprefix(f"{source}, "), z)
 
 
 def _line(look: str, icon: object, name: str, right: str) -> Markup:
@@ -165,7 +171,7 @@ def _has_one_peak(curve: Sequence[float]) -> bool:
 def _support(contents: FileContents) -> Markup:
     single, every = places_with_one_peak(contents.frames)
     source = next((fact.source for fact in contents.facts if fact.name == "z step"), "")
-    stated = "the sign of the typed z step" if source == "given" else f"the {source}"
+    stated = "the sign of the typed z step" if source == "given" else f"the {source}" if source.islower() else source
     ends = f"They cannot tell which end is up: {stated} says it." if "z step" not in contents.unsettled else ""
     ends = ends.replace("names of the files says", "names of the files say")
     if any("contradict the order" in doubt for doubt in contents.doubts):
@@ -179,35 +185,50 @@ def _support(contents: FileContents) -> Markup:
     return html.note("busy", "The pictures do not decide the order.", text, sign=html.icon(viser.Icon.INFO_CIRCLE, 17))
 
 
+_SIGN = viser.Icon.ALERT_TRIANGLE
+
+
 def doubts_html(contents: FileContents, options: ImageOptions) -> Markup:
-    """Return the gap and the doubts, with what settles them, and the notes on how the files are read."""
+    """Return what has to be settled, with what settles it, and what the user overrules."""
     return Markup("").join(_doubts(contents, options))
 
 
 def _doubts(contents: FileContents, options: ImageOptions) -> Iterator[Markup]:
-    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 17)
-    if contents.n_missing:
-        zs = [with_unit(f.z_um, 1, signed=True) for f in contents.frames if not f.name and f.z_um is not None]
-        where = f" at {', '.join(zs[:4])}{' …' if len(zs) > 4 else ''}" if zs else ""
-        what = "1 frame is missing" if contents.n_missing == 1 else f"{contents.n_missing} frames are missing"
-        text = "Heights beside it are less certain; the frames above keep their z."
-        no_gap = _toggle("as-listed", "There is no gap: number the frames anew")
-        yield html.note("attention", f"{what}{where}.", text, no_gap, sign)
+    sign = html.icon(_SIGN, 17)
     for doubt in contents.doubts:
-        disputed = "contradict each other" in doubt or "given as" in doubt
+        disputed = "contradict" in doubt or "given as" in doubt
         foot = Markup()
         if "--as-listed" in doubt:
             foot = _toggle("as-listed", "The present order is right")
-        elif "--overrule" in doubt and disputed:
+        elif "given as" in doubt:
             foot = _toggle("overrule", "Take the typed values")
-        yield html.note("fault" if disputed else "attention", "To settle", page_words(doubt), foot, sign)
+        yield html.note("fault" if disputed else "attention", "To settle", reason(doubt), foot, sign)
     if options.overrule:
         back = _toggle("overrule", "Take those of the files")
         yield html.note("attention", "Typed values are taken where the files state others.", "", back, sign)
+
+
+def notes_html(contents: FileContents) -> Markup:
+    """Return the gap, and the notes on how the files are read."""
+    gap = _gap(contents) if contents.n_missing else Markup()
     notes = [note for note in contents.notes if "left out" not in note and "missing" not in note]
-    if notes:
-        lines = Markup("").join(Markup("<div>{}</div>").format(page_words(note)) for note in notes)
-        yield Markup('<div class="wv-notes">{}</div>').format(lines)
+    lines = Markup("").join(Markup("<div>{}</div>").format(page_words(note)) for note in notes)
+    return gap + (Markup('<div class="wv-notes">{}</div>').format(lines) if notes else Markup())
+
+
+def _gap(contents: FileContents) -> Markup:
+    zs = [with_unit(f.z_um, 1, signed=True) for f in contents.frames if not f.name and f.z_um is not None]
+    where = f" at {', '.join(zs[:4])}{' …' if len(zs) > 4 else ''}" if zs else ""
+    what = "1 frame is missing" if contents.n_missing == 1 else f"{contents.n_missing} frames are missing"
+    text = "Heights beside it are less certain; the frames above keep their z."
+    no_gap = _toggle("as-listed", "There is no gap: number the frames anew")
+    return html.note("attention", f"{what}{where}.", text, no_gap, html.icon(_SIGN, 17))
+
+
+def surface_html(contents: FileContents, options: ImageOptions) -> Markup:
+    """Return the facts, doubts and notes of a surface file or a dataset."""
+    head = html.head(contents.kind.capitalize(), "", first=True)
+    return head + doubts_html(contents, options) + facts_html(contents) + notes_html(contents)
 
 
 # --- facts and places
@@ -221,19 +242,21 @@ def source_html(contents: FileContents | None, name: str, label: str, typed: boo
     fact = None if contents is None else next((fact for fact in contents.facts if fact.name == name), None)
     open_ = contents is not None and name in contents.unsettled
     if typed and not (open_ and fact is not None and fact.value):
-        return _source("", "typed")
+        return _source(label, "typed")
     if contents is None:
         return Markup()
     if fact is None or not fact.value:
-        return _source("attention" if open_ else "", "not in the files")
+        return _source(label, "not in the files", "attention" if open_ else "")
     if open_:
-        return _source("fault", f"{html.with_micro_sign(fact.value)}: {fact.source.replace('given', 'typed')}")
-    states = Markup('data-states="{}" data-value="{}"').format(label, fact.value.split()[0])
-    return _source("", fact.source, states)
+        both = f"{html.with_micro_sign(fact.value)}: {fact.source.replace('given', 'typed')}"
+        return _source(label, both, "fault")
+    return _source(label, fact.source, "", fact.value.split()[0])
 
 
-def _source(tone: str, words: str, more: Markup | Literal[""] = "") -> Markup:
-    return Markup('<div class="wv-imp-source {}" {}>{}</div>').format(tone, more, words)
+def _source(label: str, words: str, tone: str = "", value: str = "") -> Markup:
+    return Markup(
+        '<div class="wv-imp-source {tone}" data-states="{label}" data-value="{value}" data-tone="{tone}">{words}</div>'
+    ).format(tone=tone, label=label, value=value, words=words)
 
 
 def facts_html(contents: FileContents | None) -> Markup:
@@ -246,7 +269,7 @@ def facts_html(contents: FileContents | None) -> Markup:
 
 def _fact(fact: Fact) -> Markup:
     tone = "attention" if fact.name == "missing frames" or fact.value == "simulated" else ""
-    value = html.with_micro_sign(fact.value).replace(" x ", " × ")
+    value = re.sub(r"(?<!\w)-(?=\d)", MINUS, html.with_micro_sign(fact.value).replace(" x ", " × "))
     source = Markup("<small>{}</small>").format(fact.source) if fact.source else Markup()
     return Markup('<div><span>{}</span><span class="{}">{}{}</span></div>').format(
         fact.name[:1].upper() + fact.name[1:], tone, value, source
@@ -305,8 +328,15 @@ def why_not(contents: FileContents | None) -> str:
     if contents.kind == "dataset":
         return "This is a dataset already: open it with Open…"
     if contents.unsettled:
-        return f"settle {' and '.join(contents.unsettled)}."
-    return page_words(" ".join(contents.doubts[:1]))
+        return f"{', '.join(_open(contents, name) for name in contents.unsettled)}."
+    return reason(" ".join(contents.doubts[:1]))
+
+
+def _open(contents: FileContents, name: str) -> str:
+    if any(choice.axis == name for choice in contents.choices):
+        return f"the {name} is not chosen"
+    values = next((fact.value for fact in contents.facts if fact.name == name), "")
+    return f"the {name} has two values" if values else f"the {name} is missing"
 
 
 def foot_html(contents: FileContents, out: Path, command: str) -> Markup:
@@ -322,7 +352,8 @@ def foot_html(contents: FileContents, out: Path, command: str) -> Markup:
             if contents.n_missing == 1
             else (f" and {contents.n_missing} gaps")
         )
-        made = "A surface" if contents.kind == "surface" else f"{fields_words(contents)}, {n} frames{gaps}"
+        several = f"{fields_words(contents)}{',' if contents.fields == 1 else ' of'} {n} frames{gaps}"
+        made = "A surface" if contents.kind == "surface" else several
         weight = f", {size(contents.n_bytes)}" if contents.n_bytes else ""
         what = Markup("<div><b>{} → </b>{}{}, in {}</div>").format(made, out.name, weight, out.parent)
         what += Markup('<div class="wv-imp-same">same as: <code>{}</code></div>').format(command)

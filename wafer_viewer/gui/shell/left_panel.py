@@ -35,7 +35,7 @@ from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
 from wafer_viewer.gui.live.live_places import LivePlaces
 from wafer_viewer.gui.measure.result_list import ResultList
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
-from wafer_viewer.gui.page.import_dialog import import_dialog
+from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
@@ -331,6 +331,7 @@ class LeftPanel:
             self._list = HtmlBlock(page.gui)
             self._frames = HtmlBlock(page.gui)
             opener = command_button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
+            take_drops(page)
             importer = command_button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
             in_a_row(page.gui, [opener, importer])
 

@@ -64,6 +64,28 @@ window.addEventListener('change', event => {
   event.target.value = '';
   window.wvReport('file-too-large', file.name);
 }, true);
+/* A file dropped on the page opens the import dialog, and is sent there as by its button. */
+const DROP_MS = 100, DROP_TRIES = 50;
+const hasFile = event => [...event.dataTransfer?.types ?? []].includes('Files');
+const send = (chosen, tries) => {
+  const input = document.querySelector('.mantine-Modal-content:has(.wv-import) input[type=file]');
+  if (!input) {
+    if (tries) setTimeout(() => send(chosen, tries - 1), DROP_MS);
+    return;
+  }
+  if (input.disabled) return;
+  input.files = chosen.files;
+  input.dispatchEvent(new Event('change', { bubbles: true }));
+};
+window.addEventListener('dragover', event => { if (hasFile(event)) event.preventDefault(); }, true);
+window.addEventListener('drop', event => {
+  if (!hasFile(event) || !event.dataTransfer.files.length) return;
+  consume(event);
+  const chosen = new DataTransfer();
+  chosen.items.add(event.dataTransfer.files[0]);
+  window.wvReport('import-drop', event.dataTransfer.files.length);
+  send(chosen, DROP_TRIES);
+}, true);
 window.addEventListener('keydown', event => {
   const list = last('.wv-files');
   if (!list || event.isComposing || event.ctrlKey || event.metaKey || event.altKey) return;

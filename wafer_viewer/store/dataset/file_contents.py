@@ -26,7 +26,7 @@ from wafer_viewer.store.images.stack_source import SourceField, StackSource, Uns
 OnFrame = Callable[[int, Image], None]
 DATASET_ENDING = ".wafer"
 SHOWN_PLACES = 5
-"""Places of a frame whose sharpness is told: those where it changes most."""
+"""Places of a frame whose sharpness is told."""
 _NAMED = 8
 
 
@@ -294,8 +294,8 @@ def _looked_at(
     if len({len(one) for one in seen}) > 1:
         return frames, ["The images have several sizes: give those of one size."]
     sharpness = np.stack(seen)
-    most = np.argsort(np.ptp(sharpness, 0) / (sharpness.max(0) + 1e-12))[::-1][:SHOWN_PLACES]
-    shown = sharpness[:, most] / (sharpness[:, most].max(0) + 1e-12)
+    places = _shown_places(sharpness)
+    shown = sharpness[:, places] / (sharpness[:, places].max(0) + 1e-12)
     known = list(frames)
     for (k, _), row in zip(there, shown, strict=True):
         known[k] = replace(known[k], sharpness=tuple(float(value) for value in row))
@@ -303,3 +303,12 @@ def _looked_at(
         return tuple(known), []
     doubt = order_doubt([plane.name for _, plane in there], sharpness)
     return tuple(known), [] if doubt is None else [doubt]
+
+
+def _shown_places(sharpness: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the places that are told: of the half where sharpness changes most, those with peaks spread over z."""
+    change = np.ptp(sharpness, 0) / (sharpness.max(0) + 1e-12)
+    most = np.argsort(-change, kind="stable")[: max(SHOWN_PLACES, len(change) // 2)]
+    by_peak = most[np.argsort(sharpness[:, most].argmax(0), kind="stable")]
+    spread = np.linspace(0, len(by_peak) - 1, min(SHOWN_PLACES, len(by_peak)))
+    return by_peak[np.rint(spread).astype(np.intp)]
