@@ -97,6 +97,45 @@ def stitch(
     print_json({name: value for name, value in msgspec.to_builtins(info).items() if name not in OF_THE_PAGE})
 
 
+def stitch_surfaces(
+    src: Sources,
+    out: Out,
+    images: Images,
+    recipe: Recipe = Recipe(),
+    overlap_fraction: float = 0.1,
+    z_unit: Text = None,
+    invert_z: bool = False,
+    table: Table = None,
+) -> None:
+    """Make one surface of several surface files that overlap, such as height maps of another instrument.
+
+    They lie where a table of --places says, on the grid of --pattern, or where they say themselves; their overlaps
+    correct that.
+
+    Args:
+        src: The surface files, all with the same pixel size.
+        out: The file.
+        recipe: --recipe RECIPE.toml gives all settings, of which those of stitching are used.
+        overlap_fraction: Overlap of neighbours on the grid of --pattern.
+        z_unit: Unit of the heights, where the files do not say it.
+        invert_z: The numbers of the files are depths: invert them.
+        table: Whether the lines of text files are points or the rows of a matrix, where that is not clear.
+    """
+    from wafer_viewer.model.surface_format import Reading
+    from wafer_viewer.session.surface.surface_tiles import stitch_files
+    from wafer_viewer.store.formats.conversion import require_format
+
+    require_sources(src)
+    require_format(out)
+    says = Reading(z_unit=z_unit, pixel_um=images.pixel_um, invert_z=invert_z, table=table)
+    with progress("Stitching") as tell:
+        surface = stitch_files(src, images, overlap_fraction, says, recipe, tell)
+    _write(surface, out)
+    for note in surface.provenance.notes:
+        warn(note)
+    print(out)
+
+
 def why(
     src: Sources,
     at: Place,

@@ -24,7 +24,7 @@ from wafer_viewer.numerics.frame_sequence import contradicting_order
 from wafer_viewer.store.images.frame_names import FrameOrder, frame_order
 from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, image_files, planes_of
 from wafer_viewer.store.images.name_pattern import Cell, NamedPlane, planes_by_pattern
-from wafer_viewer.store.images.tile_places import matched, numbered_cells, places_of
+from wafer_viewer.store.images.tile_places import matched, mirrored, numbered_cells, places_of
 
 Slot = tuple[ImagePlane | None, ...]
 """Planes at one z: one an exposure, None where it is missing."""
@@ -503,13 +503,13 @@ def _names_in_table(field: SourceField, number: int | None) -> list[str]:
 
 
 def _mirrored(field: SourceField, mirror: Mirror) -> SourceField:
-    along_x, along_y = (-1 if mirror in (axis, "both") else 1 for axis in "xy")
-    return replace(
-        field,
-        x_um=None if field.x_um is None else along_x * field.x_um,
-        y_um=None if field.y_um is None else along_y * field.y_um,
-        cell=None if field.cell is None else (along_y * field.cell[0], along_x * field.cell[1]),
-    )
+    if field.x_um is not None and field.y_um is not None:
+        x_um, y_um = mirrored(field.x_um, field.y_um, mirror)
+        field = replace(field, x_um=x_um, y_um=y_um)
+    if field.cell is not None:
+        col, row = mirrored(field.cell[1], field.cell[0], mirror)
+        field = replace(field, cell=(int(row), int(col)))
+    return field
 
 
 def _field(name: str, planes: list[ImagePlane], step_um: float, down: bool, lowest_um: float) -> SourceField:

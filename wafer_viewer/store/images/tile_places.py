@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.acquisition.image_source import ImageOptions
+from wafer_viewer.model.acquisition.image_source import ImageOptions, Mirror
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.images.image_files import NOTHING_WRITTEN
 from wafer_viewer.store.images.name_pattern import Cell
@@ -73,6 +73,11 @@ def _cell(n: int, rows: int, columns: int, options: ImageOptions) -> Cell:
         rows - 1 - row if options.corner.startswith("bottom") else row,
         columns - 1 - col if options.corner.endswith("right") else col,
     )
+
+
+def mirrored(x: float, y: float, mirror: Mirror) -> tuple[float, float]:
+    """Return a place with the axes reversed that the user has mirrored."""
+    return (-x if mirror in ("x", "both") else x, -y if mirror in ("y", "both") else y)
 
 
 # --- tables
