@@ -135,6 +135,22 @@ def test_pyvista(written, ending):
     np.testing.assert_allclose(extents(points, ending), EXTENTS, atol=1e-3)
 
 
+def test_meshlab(written):
+    """It takes comments of three or six words for points."""
+    mesh = pytest.importorskip("pymeshlab", reason="pip install pymeshlab").MeshSet()
+    mesh.load_new_mesh(str(written / "a.xyz"))
+    points = mesh.current_mesh().vertex_matrix()
+    assert len(points) == POINTS
+    np.testing.assert_allclose(extents(points, ".xyz"), EXTENTS, atol=1e-3)
+
+
+def test_gdal(written, z_um):
+    with pytest.importorskip("rasterio", reason="pip install rasterio").open(written / "a.tif") as raster:
+        np.testing.assert_array_equal(raster.read(1), z_um.astype(np.float32))
+        assert raster.transform.to_gdal() == pytest.approx((1000, 0.5, 0, 2001, 0, -0.5))
+        assert np.isnan(raster.nodata)
+
+
 def test_cloud_compare(written, tmp_path):
     out = tmp_path / "out.asc"
     words = ["-SILENT", "-AUTO_SAVE", "OFF", "-C_EXPORT_FMT", "ASC", "-PREC", "6", "-O", str(written / "a.ply")]

@@ -193,6 +193,27 @@ def test_a_mosaic_is_written_strip_by_strip_as_a_map_is(tmp_path, ending):
     assert one.pixel_um == other.pixel_um == pytest.approx(1.5)
 
 
+@pytest.mark.parametrize("ending", [".npz", ".x3p", ".csv"])
+def test_a_mosaic_is_written_without_its_empty_margin(tmp_path, ending):
+    surface = make_surface(rows=300, cols=700, x0_um=1000.0, y0_um=2000.0)
+    for layer in (surface.z_um, surface.z_raw_um):
+        layer[:32], layer[-32:], layer[:, :270], layer[:, -5:] = np.nan, np.nan, np.nan, np.nan
+    surface.origin[np.isnan(surface.z_um)] = Origin.NOT_COVERED
+    surface.z_um[40:50, 280:290], surface.origin[40:50, 280:290] = np.nan, Origin.NO_TEXTURE
+    export(write_mosaic(tmp_path / "m.zarr", surface), tmp_path / f"a{ending}")
+    back = read_surface(tmp_path / f"a{ending}")
+    np.testing.assert_allclose(back.z_um, surface.z_um[32:-32, 270:-5], atol=1e-5)
+    assert (back.x0_um, back.y0_um) == pytest.approx((1000 + 270 * 0.5, 2000 - 32 * 0.5))
+
+
+def test_no_comment_of_a_text_looks_like_a_point(tmp_path):
+    """MeshLab takes every line of three or six words for one."""
+    export(make_surface(simulated=True), tmp_path / "a.xyz")
+    comments = [line for line in (tmp_path / "a.xyz").read_text().splitlines() if line.startswith("#")]
+    assert len(comments) > 5
+    assert not [line for line in comments if len(line.split()) in (3, 6)]
+
+
 @pytest.mark.parametrize("ending", WRITTEN)
 def test_a_writing_that_is_stopped_leaves_nothing(tmp_path, ending):
     requested = iter([False, True, True])

@@ -387,22 +387,22 @@ class PartOfMosaic(ReadThrough):
 
     def __init__(self, surface: Mosaic, region: Region) -> None:
         self.surface = surface
-        self._rows, self._cols = pixel_window(surface, region)
+        self.rows, self.cols = pixel_window(surface, region)
 
     @property
     def x0_um(self) -> float:
         """Stage x of the centre of its first column."""
-        return self.surface.x0_um + self._cols.start * self.pixel_um
+        return self.surface.x0_um + self.cols.start * self.pixel_um
 
     @property
     def y0_um(self) -> float:
         """Stage y of the centre of its first row."""
-        return self.surface.y0_um - self._rows.start * self.pixel_um
+        return self.surface.y0_um - self.rows.start * self.pixel_um
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return self._rows.stop - self._rows.start, self._cols.stop - self._cols.start
+        return self.rows.stop - self.rows.start, self.cols.stop - self.cols.start
 
     @property
     def levels(self) -> int:

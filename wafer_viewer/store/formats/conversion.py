@@ -14,11 +14,13 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, READ, WRITTEN, every_for, format_of, with_suffixes
 from wafer_viewer.model.progress import Progress, ShouldStop
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, PartOfMosaic
 from wafer_viewer.model.surface_format import Reading, Table, imported
 from wafer_viewer.store.formats.reader_support import ReadOptions, caveats
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.atomic_files import atomic_write
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 __all__ = ["caveats", "export", "is_surface_file", "losses", "read_surface", "require_format", "write_surface"]
 
@@ -155,7 +157,7 @@ def export(
 ) -> Path:
     """Write a surface to a file in the format given by its suffix.
 
-    The surface is written strip by strip and atomically; a mosaic is read at full resolution.
+    The surface is written strip by strip and atomically; a mosaic is read at full resolution, without its empty margin.
 
     Parameters
     ----------
@@ -195,10 +197,24 @@ def export(
     """
     target = Path(path)
     write = require_format(target)
+    surface = _without_margin(surface)
     strips = Strips(surface, every or density(surface, target), progress, should_stop)
     with atomic_write(target) as temporary:
         write(strips, temporary)
     return target
+
+
+def _without_margin(surface: HeightMap | Mosaic) -> HeightMap | Mosaic:
+    """Return the part of a stored mosaic that fields cover: it is stored with a margin for later changes."""
+    if not isinstance(surface, ZarrMosaic):
+        return surface
+    rows, cols = surface.covered()
+    if (rows.stop - rows.start, cols.stop - cols.start) == surface.shape:
+        return surface
+    pixel_um, x0_um, y0_um = surface.pixel_um, surface.x0_um, surface.y0_um
+    xs = x0_um + cols.start * pixel_um, x0_um + (cols.stop - 1) * pixel_um
+    ys = y0_um - (rows.stop - 1) * pixel_um, y0_um - rows.start * pixel_um
+    return PartOfMosaic(surface, Region.rectangle(xs[0], ys[0], xs[1], ys[1]))
 
 
 def write_surface(height: HeightMap | Mosaic, path: str | Path) -> Path:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, PartOfMosaic
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 STRIP_ROWS = 256
@@ -73,8 +73,12 @@ class Strips:
         yield from with_progress(runs, total, "Writing the surface", report, self.should_stop)
 
     def _read(self, name: str, rows: slice) -> NDArray[Any]:
-        if isinstance(self.surface, ZarrMosaic):
-            strip = self.surface.read(name, 0, rows, slice(0, self.surface.shape[1]))
+        surface, top, left = self.surface, 0, 0
+        if isinstance(surface, PartOfMosaic):
+            surface, top, left = surface.surface, surface.rows.start, surface.cols.start
+        if isinstance(surface, ZarrMosaic):
+            cols = slice(left, left + self.surface.shape[1])
+            strip = surface.read(name, 0, slice(top + rows.start, top + rows.stop), cols)
         else:
             strip = getattr(_window(self.surface, rows), name)
         return strip[:: self.every, :: self.every]

@@ -61,12 +61,21 @@ def read_table(path: Path, options: ReadOptions) -> HeightMap:
 
 def _write(strips: Strips, path: Path, between: str, above: tuple[str, ...], *, with_origin: bool) -> None:
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"# {line}\n" for line in heading(strips))
+        file.writelines(f"{_comment(line)}\n" for line in heading(strips))
         file.writelines(f"{line}\n" for line in above)
         for part in strips.maps():
             xs = [f"{x:.4f}{between}" for x in part.x_um]
             for row, y_um in enumerate(part.y_um):
                 file.write(_line(part, row, xs, f"{y_um:.4f}{between}", between if with_origin else ""))
+
+
+def _comment(line: str) -> str:
+    """Return a comment of other than 3 or 6 words, which MeshLab would take for a point."""
+    comment = f"# {line}"
+    return comment + _FILLER if len(comment.split()) in (3, 6) else comment
+
+
+_FILLER = " #"
 
 
 def _line(part: HeightMap, row: int, xs: list[str], y: str, before_origin: str) -> str:
@@ -95,7 +104,7 @@ class _Head:
 def _head(layout: TextLayout, options: ReadOptions) -> _Head | None:
     """Return the columns of points; None for a matrix."""
     parts, texts = defaultdict[str, list[str]](list), list[str]()
-    for line in layout.comments:
+    for line in (comment.removesuffix(_FILLER) for comment in layout.comments):
         name, _, value = line.partition(":")
         parts[name.strip().lower()].append(value.strip())
         texts += [] if name.strip() == OURS else [line]

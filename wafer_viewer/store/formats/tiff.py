@@ -49,12 +49,28 @@ def write_tiff(strips: Strips, path: Path) -> None:
         description=about(strips),
         resolution=(per_cm, per_cm),
         resolutionunit="CENTIMETER",
+        extratags=_geometry(strips),
         returnoffset=True,
     ) or (0, 0)
     with path.open("r+b") as file:  # a full disk fails here; a memory-mapped file would fail later
         file.seek(begin)
         for z_um in strips.layer("z_um"):
             file.write(z_um.astype("<f4").tobytes())
+
+
+def _geometry(strips: Strips) -> list[tuple[int, int, int, Any, bool]]:
+    """Return the tags by which GDAL places the pixels, in stage um: their size, and the outer corner of the first."""
+    half_um, surface = strips.pixel_um / 2, strips.surface
+    corner = (0.0, 0.0, 0.0, surface.x0_um - half_um, surface.y0_um + half_um, 0.0)
+    return [
+        (_PIXEL_SCALE, _DOUBLE, 3, (strips.pixel_um, strips.pixel_um, 0.0), True),
+        (_TIE_POINT, _DOUBLE, 6, corner, True),
+        (_GDAL_NO_DATA, _TEXT, 4, "nan", True),
+    ]
+
+
+_PIXEL_SCALE, _TIE_POINT, _GDAL_NO_DATA = 33550, 33922, 42113
+_DOUBLE, _TEXT = 12, 2
 
 
 def read_tiff(path: Path, options: ReadOptions) -> HeightMap:

@@ -43,6 +43,7 @@ from wafer_viewer.store.mosaic import zarr_shards
 from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
 from wafer_viewer.store.mosaic.statistics import FACTS, MosaicStatistics, facts_array, load_statistics, save_statistics
 from wafer_viewer.store.mosaic.zarr_shards import (
+    CHUNK,
     FILLS,
     GROUP,
     OWN,
@@ -380,6 +381,14 @@ class ZarrMosaic:
         """Return the statistics. Raises DatasetError when they are missing or damaged."""
         return load_statistics(self.path, self.shape)
 
+    def covered(self) -> tuple[slice, slice]:
+        """Return the rows and columns of level 0 from the first to the last that a field covers; all without any."""
+        n_rows, n_cols = self.shape
+        every_row, every_col = slice(0, n_rows), slice(0, n_cols)
+        rows = _extent(n_rows, lambda rows: (self.read("origin", 0, rows, every_col) != Origin.NOT_COVERED).any(axis=1))
+        cols = _extent(n_cols, lambda cols: (self.read("origin", 0, every_row, cols) != Origin.NOT_COVERED).any(axis=0))
+        return rows or every_row, cols or every_col
+
     def layers(self, level: int, rows: slice, cols: slice) -> Layers:
         """Return a part of all layers of a level."""
         names = [name for name in FILLS if level in levels_of(name, self.header)]
@@ -410,3 +419,13 @@ class ZarrMosaic:
             return pixel_window(self, region, level)
         rows, cols = self.header.shape_of(level)
         return slice(0, rows), slice(0, cols)
+
+
+def _extent(n: int, is_covered: Callable[[slice], NDArray[np.bool_]]) -> slice | None:
+    """Return the range of the lines that are covered, searched from both ends; None without any."""
+    parts = [slice(start, min(start + CHUNK, n)) for start in range(0, n, CHUNK)]
+    first = next((part.start + int(found.argmax()) for part in parts if (found := is_covered(part)).any()), None)
+    if first is None:
+        return None
+    ends = (part.stop - int(found[::-1].argmax()) for part in parts[::-1] if (found := is_covered(part)).any())
+    return slice(first, next(ends))
