@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import shutil
+import struct
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from tests.support.datasets.complete_dataset import complete_dataset
 from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.samples import CALIBRATION, make_surface
 from tests.support.paths import ASSETS
+from tests.support.written_images import zarr_05
 from wafer_viewer.cli.parser import read_recipe
 from wafer_viewer.gui.incoming import read_message
 from wafer_viewer.gui.page.browser_info import read_info
@@ -130,11 +132,28 @@ def _images(folder: Path) -> list[OutsideReader]:
     tifffile.imwrite(colour, rng.integers(0, 255, (24, 32, 3), dtype=np.uint8), photometric="rgb", compression="lzw")
     palette = folder / "palette.png"
     Image.fromarray(grey).convert("P").save(palette)
+    header, pixels = _zarr_and_ndtiff(folder, grey)
     return [
         *found,
+        OutsideReader("zarr", header, lambda file: [picture.read() for picture in planes_of(file.parent)]),
+        OutsideReader("ndtiff", pixels, lambda file: [picture.read() for picture in planes_of(file.parent)]),
         OutsideReader("colour tiff", colour, lambda file: [picture.read() for picture in planes_of(file)]),
         OutsideReader("palette png", palette, lambda file: [picture.read() for picture in planes_of(file)]),
     ]
+
+
+def _zarr_and_ndtiff(folder: Path, grey: Any) -> tuple[Path, Path]:
+    """Write an image of each kind of folder; return the files that say what is in them."""
+    (folder / "nd").mkdir()
+    words, axes, name = b"{}", b'{"z": 0, "channel": "BF"}', b"a.tif"
+    begin = 28 + len(words)
+    head = bytes(24) + struct.pack("<I", len(words)) + words
+    (folder / "nd" / "a.tif").write_bytes(head + grey.tobytes() + words)
+    entry = struct.pack("<8I", begin, 32, 24, 0, 0, begin + grey.size, len(words), 0)
+    index = folder / "nd" / "NDTiff.index"
+    index.write_bytes(struct.pack("<I", len(axes)) + axes + struct.pack("<I", len(name)) + name + entry)
+    image = zarr_05(folder, np.stack([grey] * 3), "")
+    return image / "zarr.json", index
 
 
 def _settings(folder: Path) -> list[OutsideReader]:

@@ -163,7 +163,7 @@ class StandInForNd2(ModuleType):
     metadata = SimpleNamespace(channels=CHANNELS)
 
     def events(self):
-        return [{"Exposure Time [ms]": EXPOSURE_MS}] * (2 * N)
+        return [{"Exposure Time [ms]": np.float64(EXPOSURE_MS)}] * (2 * N)
 
     def frame_metadata(self, n):
         p, z = divmod(n, N)

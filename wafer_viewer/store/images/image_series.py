@@ -117,7 +117,7 @@ def plane_at(
     read: Callable[[], Image],
 ) -> ImagePlane:
     """Return the plane at a place. several: axes of the image with several values."""
-    own = series.own(place)
+    own = {name: float(value) for name, value in series.own(place).items()}
     tile = f"position {place.position}" if several & set(POSITION_AXES) else ""
     named = series.channels[place.channel] if place.channel < len(series.channels) else f"channel {place.channel}"
     return ImagePlane(

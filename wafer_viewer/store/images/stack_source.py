@@ -325,21 +325,28 @@ def _chosen(planes: list[ImagePlane], options: ImageOptions) -> list[ImagePlane]
 
     The position is first, as those of a file may have other channels and times each.
     """
-    for axis in ("position", "channel", "time"):
-        planes = _on_axis(planes, axis, getattr(options, axis), needed=axis != "position")
+    planes = _on_axis(planes, "position", options.position, needed=False)
+    positions = list(dict.fromkeys(plane.position for plane in planes))
+    if len(positions) > 1 and any(plane.x_um is None or plane.y_um is None for plane in planes):
+        raise DatasetError(
+            f"The images have {len(positions)} positions and do not say where these lie. {_choose(positions)}"
+        )
+    for axis in ("channel", "time"):
+        planes = _on_axis(planes, axis, getattr(options, axis), needed=True)
     return planes
 
 
+def _choose(positions: Sequence[str]) -> str:
+    return f"Choose one with --position: {', '.join(positions[:8])}{' ...' if len(positions) > 8 else ''}."
+
+
 def _require_places(fields: Sequence[SourceField], pixel_um: float) -> None:
-    """Raise DatasetError when several positions do not say where they lie, or two lie at the same place."""
+    """Raise DatasetError when two positions lie at the same place."""
     places: dict[tuple[int, int], str] = {}
     for field in fields if len(fields) > 1 else ():
-        shown = ", ".join(one.name for one in fields[:8]) + (" ..." if len(fields) > 8 else "")
-        choose = f"Choose one with --position: {shown}."
-        if field.x_um is None or field.y_um is None:
-            raise DatasetError(f"The images have {len(fields)} positions and do not say where these lie. {choose}")
-        at = round(field.x_um / pixel_um), round(field.y_um / pixel_um)
+        at = round((field.x_um or 0.0) / pixel_um), round((field.y_um or 0.0) / pixel_um)
         if at in places:
+            choose = _choose([one.name for one in fields])
             raise DatasetError(f"The positions {places[at]} and {field.name} lie at the same place. {choose}")
         places[at] = field.name
 
