@@ -327,9 +327,11 @@ def _chosen(planes: list[ImagePlane], options: ImageOptions) -> list[ImagePlane]
     """
     planes = _on_axis(planes, "position", options.position, needed=False)
     positions = list(dict.fromkeys(plane.position for plane in planes))
-    if len(positions) > 1 and any(plane.x_um is None or plane.y_um is None for plane in planes):
+    unplaced = options.places is None and any(plane.x_um is None or plane.y_um is None for plane in planes)
+    if len(positions) > 1 and unplaced:
         raise DatasetError(
-            f"The images have {len(positions)} positions and do not say where these lie. {_choose(positions)}"
+            f"The images have {len(positions)} positions and do not say where these lie. {_choose(positions)[:-1]}, or "
+            "give a table of their places with --places."
         )
     for axis in ("channel", "time"):
         planes = _on_axis(planes, axis, getattr(options, axis), needed=True)
