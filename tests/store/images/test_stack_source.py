@@ -265,7 +265,9 @@ def test_exposures_times_objective_and_date_are_stored(tmp_path):
 
 def test_unknown_exposures_stay_unknown_and_changing_ones_are_noted(tmp_path):
     assert not import_dataset(ome(tmp_path / "a.ome.tif"), tmp_path / "a.wafer").scan.plan.exposures_are_known
-    notes = open_stack(timed(tmp_path / "b.ome.tif", [12] * 5 + [24])).notes
+    path = timed(tmp_path / "b.ome.tif", [12] * 5 + [24])
+    notes = open_stack(path).notes
+    assert import_dataset(path, tmp_path / "b.wafer").stack(1).notes == notes
     assert any("exposure time changes from 12000 to 24000 us" in note for note in notes)
 
 

@@ -210,7 +210,7 @@ class Dataset:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Faults reported during the scan, in order."""
+        """Faults reported during the scan, or what was found in imported files, in order."""
         return tuple(self._faults)
 
     def require_frames(self, what: str) -> None:
@@ -317,6 +317,7 @@ class Dataset:
             depth_of_field_um=self.scan.plan.depth_of_field_um,
             exposure_z_um=tuple(z_um) if others else (),
             shading=self.shading,
+            notes=self.faults if self.scan.imported_from else (),
         )
 
     @cached_property

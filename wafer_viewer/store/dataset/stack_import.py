@@ -354,6 +354,8 @@ def dataset_of(
             bits=8 * first.dtype.itemsize,
         ) as writer,
     ):
+        for note in source.notes:
+            writer.fault(note)
         _copy(source.fields, writer, progress, should_stop)
     forget_marks(target)
     sign_scan(target)
