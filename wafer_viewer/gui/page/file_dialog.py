@@ -63,9 +63,20 @@ class FileList:
         Proposed name of a file to save; empty if a file is opened.
     ending : str
         Extension of the file to save.
+    on_open : callable, optional
+        Called when a file is opened from the list, instead of a press of the button.
     """
 
-    def __init__(self, dialog: Dialog, kind: KindName, rows: int = 8, saving: str = "", ending: str = "") -> None:
+    def __init__(
+        self,
+        dialog: Dialog,
+        kind: KindName,
+        rows: int = 8,
+        saving: str = "",
+        ending: str = "",
+        on_open: Callable[[], None] | None = None,
+    ) -> None:
+        self._on_open = on_open or (lambda: dialog.press())
         self._dialog, self._page = dialog, dialog.page
         self._kind_name: KindName = kind
         self._browsing = dialog.page.session.browsing
@@ -305,7 +316,7 @@ class FileList:
                 self._go_and_leave(entry.path)
                 return
             self._mark(key)
-            self._dialog.press()
+            self._on_open()
 
     def _go_and_leave(self, folder: Path) -> None:
         """Go to a folder and clear the choice; if folders can be chosen, choose this one."""

@@ -63,6 +63,7 @@ class ImportDialog:
         self._dialog = dialog = Dialog(page, "Import images or a surface", "", on_close=self._leave)
         self._id, self._work = 0, None
         self._look: ImportLook | None = None
+        self._is_current = False
         self._sources: tuple[Path, ...] = ()
         self._asked = ImageOptions(), Reading()
         self._problem = ""
@@ -74,7 +75,7 @@ class ImportDialog:
             self._progress = HtmlBlock(gui)
             add_html(gui, Markup('<div class="wv-import"></div>'))
             with gui.add_folder("·"):
-                self._files = FileList(dialog, "images", rows=6)
+                self._files = FileList(dialog, "images", rows=6, on_open=self.changed)
                 self._files.add_upload(then=self.changed)
                 self._contents = HtmlBlock(gui)
             with gui.add_folder("·"):
@@ -82,7 +83,6 @@ class ImportDialog:
             add_html(gui, Markup('<div class="wv-imp-end"></div>'))
             self._foot = HtmlBlock(gui)
         self._button = dialog.answers("Import", viser.Icon.PHOTO_PLUS, self._import, "Import stopped")
-        dialog.press = self.changed
         self._files.field.on_update(lambda _: self.changed())
         page.on_pick("import-toggle", self._toggle)
         page.on_pick("import-other", lambda _: self._choose_other())
@@ -120,7 +120,9 @@ class ImportDialog:
     # --- what a person does
 
     def changed(self) -> None:
-        """Look at the chosen files as soon as their path rests."""
+        """Look at the chosen files as soon as path and values rest; until then the import itself checks them."""
+        self._is_current = False
+        set_prop(self._button, "disabled", False)
         self._debounced.made()
 
     def _edited(self, event: Any) -> None:
@@ -141,7 +143,7 @@ class ImportDialog:
 
     def _import(self) -> None:
         sources, name = self._files.paths(), self._name.value.strip() or None
-        if self._look is not None and (why := words.why_not(self._look.contents)):
+        if self._is_current and self._look is not None and (why := words.why_not(self._look.contents)):
             raise DatasetError(f"Not yet: {why}")
         page = self._page
         if len(sources) == 1 and page.session.exchange.is_surface(sources[0]):
@@ -216,7 +218,7 @@ class ImportDialog:
         self._work = None
         fault = done.exception()
         if fault is None:
-            self._look = done.result()
+            self._look, self._is_current = done.result(), True
         elif isinstance(fault, WaferViewerError):
             self._problem = str(fault)
         else:

@@ -63,7 +63,7 @@ def page_words(text: str) -> str:
 
 def reason(text: str) -> str:
     """Return the message of a failed import without what is clear before one: that it stopped and wrote nothing."""
-    text = re.sub(r"^Import stopped at [^:]*: ", "", text.replace("Nothing was written. ", ""))
+    text = re.sub(r"^Import stopped at [^:]*: ", "", text.replace("Nothing was written.", "").replace("  ", " "))
     return page_words(text[:1].upper() + text[1:])
 
 

@@ -1,0 +1,95 @@
+"""The import dialog shows what the files hold, where it comes from and what has to be settled, before it imports."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from playwright.sync_api import Page, expect
+
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.fake_session import FakeSession
+from tests.browser.steps import eventually, press, text_field, type_into
+from tests.cli.test_inspect import frames
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> Path:
+    """A folder of frames with z in their names, one missing, and a fused picture beside them."""
+    folder = tmp_path / "board-0142"
+    folder.mkdir()
+    images = frames()
+    for k, image in enumerate(images):
+        if k != 6:
+            tifffile.imwrite(folder / f"img_{k:03d}.tif", image)
+    tifffile.imwrite(folder / "fused.tif", np.max(images, axis=0))
+    return folder
+
+
+def test_files_are_shown_with_their_sources_before_they_are_imported(
+    serve: Callable[[FakeSession], Page], stack: Path
+) -> None:
+    session = FakeSession(fake.planned())
+    session.exchange.looks = True
+    page = serve(session)
+    press(page, "Import…")
+    dialog = page.get_by_role("dialog")
+    type_into(page, "Path", str(stack))
+    expect(dialog.locator(".wv-imp-files")).to_contain_text("a frame is missing")
+    expect(dialog.locator(".wv-imp-files .off")).to_contain_text("fused.tif")
+    expect(dialog.locator(".wv-imp-strip img")).to_have_count(12)
+    expect(dialog.locator(".wv-imp-strip .gap")).to_have_count(2)
+    importer = dialog.get_by_role("button", name=re.compile("^Import"))
+    expect(dialog).to_contain_text("Not yet: the z step is missing, the pixel size is missing.")
+    expect(importer).to_be_disabled()
+    expect(text_field(page, "Pixel, µm")).to_have_attribute("data-tone", "attention")
+
+    type_into(page, "Pixel, µm", "0.65")
+    type_into(page, "z step, µm", "2.5")
+    expect(dialog.locator(".wv-imp-source").first).to_have_text("typed")
+    expect(dialog).to_contain_text("The pictures support this order.")
+    expect(dialog).to_contain_text("1 frame is missing at +15.0\u202fµm.")
+    expect(dialog).to_contain_text("130 × 104\u202fµm")
+    expect(dialog.locator("code")).to_contain_text("--z-step-um 2.5 --pixel-um 0.65 -o board-0142.wafer")
+    expect(importer).to_have_text("Import with the gap")
+    assert all(name != "import_images" for name, _, _ in session.asked), "nothing is imported before the button"
+
+    dialog.get_by_text("There is no gap").click()
+    expect(importer).to_have_text("Import as listed")
+    importer.click()
+    eventually(lambda: any(name == "import_images" for name, _, _ in session.asked), "the import begins")
+    (sources, options) = next(args for name, args, _ in session.asked if name == "import_images")
+    assert (sources, options.pixel_um, options.as_listed) == ((stack,), 0.65, True)
+
+
+def test_a_look_is_stopped_when_the_dialog_is_closed_and_the_page_answers_meanwhile(
+    serve: Callable[[FakeSession], Page], stack: Path
+) -> None:
+    session = FakeSession(fake.planned())
+    page = serve(session)
+    press(page, "Import…")
+    type_into(page, "Path", str(stack))
+    expect(page.get_by_role("dialog")).to_contain_text("Looking at the files…")
+    press(page, "Cancel")
+    eventually(lambda: len(session.exchange.stopped) == len(session.exchange.looked) > 0, "each look is stopped", 20)
+
+
+def test_a_file_dropped_on_the_page_opens_the_dialog(serve: Callable[[FakeSession], Page], stack: Path) -> None:
+    session = FakeSession(fake.planned())
+    page = serve(session)
+    dropped = """text => {
+      const carried = new DataTransfer();
+      carried.items.add(new File([text], 'scan.csv'));
+      document.body.dispatchEvent(new DragEvent('drop', { dataTransfer: carried, bubbles: true, cancelable: true }));
+    }"""
+    page.evaluate(dropped, "x,y,z\n0,0,1\n")
+    expect(page.get_by_role("dialog")).to_contain_text("scan.csv was sent and is chosen.")
+    eventually(lambda: bool(session.exchange.looked), "the file is looked at")
+    (sent,), _ = session.exchange.looked[-1]
+    assert sent.name == "scan.csv"
