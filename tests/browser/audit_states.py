@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from tests.browser.audit import Act, Group, State, Visit
-from tests.browser.screen_list import EXPIRED, moving, noted
+from tests.browser.screen_list import EXPIRED, choose_stack, moving, noted
 from tests.browser.sessions import calibrated_states as calibrated
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 from tests.browser.sessions.compared_session import ComparedSession
+from tests.browser.sessions.fake_exchange import looking_session
 from tests.browser.sessions.fake_session import FakeSession
 from tests.browser.sessions.followed_session import followed
 from tests.browser.sessions.gauge_blocks import certificate
@@ -204,12 +205,13 @@ _INSPECTED = inspected_session()
 
 GROUPS = {
     "still": Group(
-        lambda: FakeSession(fake.empty()),
+        lambda: looking_session(fake.empty()),
         "plan",
         (
             State("start", until=".wv-hello"),
             State("open", keys("Control+o"), DIALOG),
             State("import", keys("Shift+I"), DIALOG),
+            State("import files", then(keys("Shift+I"), lambda visit: choose_stack(visit.page)), ".wv-imp-foot"),
             State("load plan", command("Load plan…"), DIALOG),
             State("keys", keys("F1"), ".wv-sheet"),
             State("glossary", command("Glossary"), ".wv-glossary"),

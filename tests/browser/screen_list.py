@@ -9,6 +9,7 @@ import dataclasses
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Page
@@ -18,6 +19,7 @@ from tests.browser.sessions import calibrated_states as calibrated
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 from tests.browser.sessions.compared_session import ComparedSession
+from tests.browser.sessions.fake_exchange import looking_session, write_stack
 from tests.browser.sessions.fake_session import FakeSession
 from tests.browser.sessions.followed_session import followed
 from tests.browser.sessions.gauge_blocks import certificate
@@ -31,6 +33,7 @@ from tests.browser.sessions.reviewed_session import reviewed_session
 from tests.browser.sessions.seen_session import SeenSession, a_focus_curve
 from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.sessions.stitched_session import StitchedSession
+from tests.browser.steps import type_into
 from wafer_viewer.model.job import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
@@ -180,6 +183,13 @@ def fly_to_result(number: int) -> Act:
     return click(f"tr[data-pick=finding][data-k='{number}']")
 
 
+def choose_stack(page: Page) -> None:
+    """Choose a folder of images in the import dialog."""
+    folder = write_stack(Path(tempfile.gettempdir()) / "wafer-viewer-screens" / "board-0142")
+    for label, text in (("Path", str(folder)), ("Pixel, µm", "0.65"), ("z step, µm", "2.5")):
+        type_into(page, label, text)
+
+
 def read_from(zero: str) -> Act:
     """Choose what heights are read from."""
 
@@ -235,6 +245,7 @@ SCREENS: dict[str, Screen] = {
     "stop": still(fake.scanning, "acquire", press("Shift+Escape")),
     "moving": still(moving, "plan"),
     "import": still(fake.planned, "plan", press("Shift+I")),
+    "import-files": Screen(lambda: looking_session(fake.planned()), then=(press("Shift+I"), choose_stack)),
     "export": still(fake.measured, "surface", press("Shift+E")),
     "keys": still(fake.measured, "surface", press("F1")),
     "palette": still(fake.measured, "surface", press("Control+k")),

@@ -6,15 +6,13 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-import tifffile
 from playwright.sync_api import Page, expect
 
 from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.fake_exchange import looking_session, write_stack
 from tests.browser.sessions.fake_session import FakeSession
 from tests.browser.steps import eventually, press, text_field, type_into
-from tests.cli.test_inspect import frames
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -22,21 +20,13 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 @pytest.fixture
 def stack(tmp_path: Path) -> Path:
     """A folder of frames with z in their names, one missing, and a fused picture beside them."""
-    folder = tmp_path / "board-0142"
-    folder.mkdir()
-    images = frames()
-    for k, image in enumerate(images):
-        if k != 6:
-            tifffile.imwrite(folder / f"img_{k:03d}.tif", image)
-    tifffile.imwrite(folder / "fused.tif", np.max(images, axis=0))
-    return folder
+    return write_stack(tmp_path / "board-0142")
 
 
 def test_files_are_shown_with_their_sources_before_they_are_imported(
     serve: Callable[[FakeSession], Page], stack: Path
 ) -> None:
-    session = FakeSession(fake.planned())
-    session.exchange.looks = True
+    session = looking_session(fake.planned())
     page = serve(session)
     press(page, "Import…")
     dialog = page.get_by_role("dialog")

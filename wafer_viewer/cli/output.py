@@ -172,7 +172,7 @@ def print_contents(found: FileContents) -> None:
     print(f"{found.name}: {found.kind}")
     width = max((len(fact.name) for fact in found.facts), default=0)
     for fact in found.facts:
-        print(f"  {fact.name:<{width}}  {fact.value}" + (f"  ({fact.source})" if fact.source else ""))
+        print(f"  {fact.name:<{width}}  {fact.value or 'unknown'}" + (f"  ({fact.source})" if fact.source else ""))
     shown = found.frames if len(found.frames) <= 2 * NAMED else (*found.frames[:NAMED], *found.frames[-NAMED:])
     for n, frame in enumerate(shown):
         if n == NAMED and len(shown) < len(found.frames):

@@ -6,13 +6,38 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import tifffile
+
 from tests.browser.recording import Recording, done, refused
+from tests.cli.test_inspect import frames
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.core.background_work import RunningWork
 from wafer_viewer.session.files.file_jobs import MOST_PICTURES, FileJobs, ImportLook
+from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.session.surface.worker_tasks import look_at_files
+
+
+def write_stack(folder: Path) -> Path:
+    """Write the frames of a stack into a folder, one missing, with a fused picture beside them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    images = frames()
+    for k, image in enumerate(images):
+        if k != 6:
+            tifffile.imwrite(folder / f"img_{k:03d}.tif", image)
+    tifffile.imwrite(folder / "fused.tif", np.max(images, axis=0))
+    return folder
+
+
+def looking_session(snapshot: Snapshot) -> Any:
+    """A session that stands still and looks at files."""
+    from tests.browser.sessions.fake_session import FakeSession
+
+    session = FakeSession(snapshot)
+    session.exchange.looks = True
+    return session
 
 
 class FakeExchange(Recording):

@@ -77,6 +77,7 @@ def test_values_stand_with_their_sources_and_open_ones_with_their_tone():
 def test_a_channel_that_is_not_chosen_is_not_missing():
     found = replace(contents(), choices=(Choice("channel", ("DAPI", "GFP")),), unsettled=("channel",), doubts=("",))
     assert words.why_not(found) == "the channel is not chosen."
+    assert 'data-states="Channel" data-value="" data-tone="attention"' in words.facts_html(found)
 
 
 @pytest.mark.parametrize(
@@ -84,6 +85,7 @@ def test_a_channel_that_is_not_chosen_is_not_missing():
     [
         ("Give it with --pixel-um, the images do not say it.", "Give it under Pixel, the images do not say it."),
         ("Leave it: leave --z-step-um out, or give --overrule.", "Leave it: empty z step, or take the typed values."),
+        ("Say which to take, as in --channel 'DAPI', or its number, from 0.", "Say which to take under Channel."),
         ("Import stopped at /a: the folder holds no images. Nothing was written.", "The folder holds no images."),
     ],
 )

@@ -88,6 +88,7 @@ class ImportDialog:
         page.on_pick("import-other", lambda _: self._choose_other())
         page.on_pick("import-drop", lambda n_files: _warn_of_several(page, n_files))
         self._unsubscribe = page.session.subscribe(self._show_progress)
+        page.on_close(self._leave)
 
     def _build_values(self) -> None:
         gui = self._page.gui
@@ -241,13 +242,12 @@ class ImportDialog:
     def _leave(self) -> None:
         take_drops(self._page)
         self._stop()
-        self._unsubscribe()
+        leave, self._unsubscribe = self._unsubscribe, lambda: None
+        leave()
 
     # --- what is shown
 
     def _show_progress(self, snapshot: Snapshot) -> None:
-        if not self._page.alive:
-            self._unsubscribe()
         work = self._work
         if work is not None and not self._dialog.modal.closed:
             share = next((each.fraction for each in snapshot.works if each.id == work.id), None)

@@ -43,6 +43,7 @@ FIELDS_OF_FACTS = "pixel size", "z step", "numerical aperture"
 
 
 _PHRASES = (
+    (r", as in (--(?:channel|time|position)) '.*?', or its number, from 0", r" under \1"),
     (r"leave (--[\w-]+) out", r"empty \1"),
     (r"give --overrule", "take the typed values"),
     (r" with --overrule", " and take the typed values"),
@@ -264,7 +265,14 @@ def facts_html(contents: FileContents | None) -> Markup:
     if contents is None:
         return Markup()
     shown = [fact for fact in contents.facts if fact.name not in FIELDS_OF_FACTS and fact.name != "images"]
-    return Markup('<div class="wv-imp-facts">{}</div>').format(Markup("").join(_fact(fact) for fact in shown))
+    tones = [
+        Markup('<i hidden data-states="{}" data-value="" data-tone="{}"></i>').format(
+            choice.axis.capitalize(), "attention" if choice.axis in contents.unsettled else ""
+        )
+        for choice in contents.choices
+    ]
+    rows = [*map(_fact, shown), *tones]
+    return Markup('<div class="wv-imp-facts">{}</div>').format(Markup("").join(rows))
 
 
 def _fact(fact: Fact) -> Markup:

@@ -174,7 +174,7 @@ def _one_series(names: list[_Name]) -> tuple[list[_Name], list[Path], list[str]]
         notes.append(f"{_listing(copies)} left out: the same image as the file without the mark of a copy.")
     for stranger in strangers:
         kind = "named as a result, not as a frame" if _RESULT.search(stranger.path.stem) else "not named as the others"
-        notes.append(f"{stranger.path.name} was left out: it is {kind}, {main[0].path.name}.")
+        notes.append(f"{stranger.path.name} was left out: it is {kind}, such as {main[0].path.name}.")
     return main, [name.path for name in (*copies, *strangers)], notes
 
 
