@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,8 @@ def write_laz(strips: Strips, path: Path) -> None:
     """
     try:
         import laspy
-        import lazrs  # noqa: F401
+
+        importlib.import_module("lazrs")  # without it laspy fails at the first point
     except ImportError as fault:
         raise DatasetError("LAZ files are written by laspy: pip install 'wafer-viewer[points]'.") from fault
     surface = strips.surface
