@@ -6,7 +6,9 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 from playwright.sync_api import Page, expect
 
 from tests.browser.sessions import fake_session as fake
@@ -83,3 +85,25 @@ def test_a_file_dropped_on_the_page_opens_the_dialog(serve: Callable[[FakeSessio
     eventually(lambda: bool(session.exchange.looked), "the file is looked at")
     (sent,), _ = session.exchange.looked[-1]
     assert sent.name == "scan.csv"
+
+
+def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(
+    serve: Callable[[FakeSession], Page], tmp_path: Path
+) -> None:
+    folder = tmp_path / "grid"
+    folder.mkdir()
+    for n in range(6):
+        tifffile.imwrite(folder / f"t{n}.tif", np.full((4, 24, 32), 10 * n, np.uint8), photometric="minisblack")
+    session = looking_session(fake.planned())
+    page = serve(session)
+    press(page, "Import…")
+    dialog = page.get_by_role("dialog")
+    type_into(page, "Path", str(folder))
+    type_into(page, "Pixel, µm", "0.5")
+    type_into(page, "z step, µm", "2")
+    type_into(page, "Pattern", "t{n}.tif")
+    expect(dialog.locator(".wv-imp-place rect")).to_have_count(6)
+    type_into(page, "Columns", "3")
+    expect(dialog.locator(".wv-imp-place")).to_contain_text("45 × 23\u202fµm")
+    dialog.get_by_text("Mirror x").click()
+    expect(dialog.locator("code")).to_contain_text("--columns 3 --mirror x -o grid.wafer")

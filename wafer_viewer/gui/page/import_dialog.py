@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from itertools import count
 from pathlib import Path
@@ -68,6 +68,7 @@ class ImportDialog:
         self._asked = ImageOptions(), Reading()
         self._problem = ""
         self._as_listed = self._overrule = False
+        self._mirrored: frozenset[str] = frozenset()
         self._debounced = Debouncer(self._begin, guarded(page, FAILED), PAUSE_S)
         gui = page.gui
         with dialog.modal:
@@ -106,9 +107,14 @@ class ImportDialog:
         self._place_head = HtmlBlock(gui, html.head("Place on the sample"))
         self._place = HtmlBlock(gui)
         self._pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
+        self._columns = OptionalNumber(gui, "Columns", over=0, hint="Of a grid whose fields have running numbers, {n}")
+        self._order = gui.add_dropdown("Numbered", tuple(words.ORDERS.values()), visible=False)
+        self._corner = gui.add_dropdown("Begins", tuple(words.CORNERS.values()), visible=False)
+        self._places = gui.add_text("Places", "", hint="Table of places: TileConfiguration.txt, MIST, .pos or CSV")
         self._only = gui.add_text("Only", "", hint="Files to take, by a pattern of their names such as img_*.png")
         self._name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
-        for handle in (self._light.handle, self._unit, self._depths, self._pattern, self._only, self._name):
+        texts = (self._unit, self._depths, self._pattern, self._places, self._only, self._name)
+        for handle in (self._light.handle, self._columns.handle, self._order, self._corner, *texts):
             handle.on_update(self._edited)
 
     def _dropdown(self, axis: str) -> Any:
@@ -135,6 +141,8 @@ class ImportDialog:
             self._as_listed = not self._as_listed
         elif what == "overrule":
             self._overrule = not self._overrule
+        elif what.startswith("mirror-"):
+            self._mirrored ^= {what[-1]}
         self._begin()
 
     def _choose_other(self) -> None:
@@ -165,10 +173,23 @@ class ImportDialog:
             only=self._only.value.strip() or None,
             as_listed=self._as_listed,
             overrule=self._overrule,
+            **self._grid(),
             channel=channel,
             time=time,
             position=position,
         )
+
+    def _grid(self) -> dict[str, Any]:
+        """Return how the fields are numbered, mirrored, and placed by a table."""
+        columns, places = self._columns.value, self._places.value.strip()
+        mirror = "both" if len(self._mirrored) > 1 else next(iter(self._mirrored), "none")
+        return {
+            "columns": None if columns is None else round(columns),
+            "order": _key_of(words.ORDERS, self._order.value),
+            "corner": _key_of(words.CORNERS, self._corner.value),
+            "mirror": mirror,
+            "places": Path(places).expanduser() if places else None,
+        }
 
     def _reading(self) -> Reading:
         unit = self._unit.value.strip() or None
@@ -235,6 +256,7 @@ class ImportDialog:
         """Forget what belonged to other files."""
         self._look, self._sources, self._problem = None, (), ""
         self._as_listed = self._overrule = False
+        self._mirrored = frozenset()
         for handle in self._choices.values():
             set_prop(handle, "visible", False)
             handle.value = handle.options[0]
@@ -278,8 +300,10 @@ class ImportDialog:
         images = contents is None or contents.kind == "images"
         for name, value in self._values.items():
             value.show(contents, name, visible=images or name == "pixel size")
-        for handle in (self._light.handle, self._pattern, self._only):
+        for handle in (self._light.handle, self._pattern, self._places, self._only):
             set_prop(handle, "visible", images)
+        for handle in (self._columns.handle, self._order, self._corner):
+            set_prop(handle, "visible", images and ("{n" in self._pattern.value or "{series" in self._pattern.value))
         for handle in (self._unit, self._depths):
             set_prop(handle, "visible", not images)
         for axis, handle in self._choices.items():
@@ -291,6 +315,11 @@ class ImportDialog:
         self._facts.show(words.facts_html(contents) if images else "")
         self._place_head.show(html.head("Place on the sample", words.fields_words(contents)) if images else "")
         self._place.show(words.place_html(contents))
+
+
+def _key_of(names: Mapping[str, str], shown: str) -> str:
+    """Return the key of what a drop-down shows."""
+    return next(key for key, name in names.items() if name == shown)
 
 
 class StatedValue:

@@ -34,6 +34,8 @@ LABELS = {
     "--position": "Position",
     "--only": "Only",
     "--pattern": "Pattern",
+    "--columns": "Columns",
+    "--places": "Places",
     "--z-unit": "z unit",
     "--as-listed": "Take all files",
 }
@@ -287,8 +289,23 @@ def _fact(fact: Fact) -> Markup:
 _MAP_PX = (264, 118)
 
 
+ORDERS = {
+    "rows": "along rows",
+    "columns": "along columns",
+    "snake-rows": "snake along rows",
+    "snake-columns": "snake along columns",
+}
+CORNERS = {
+    "top-left": "from top left",
+    "top-right": "from top right",
+    "bottom-left": "from bottom left",
+    "bottom-right": "from bottom right",
+}
+"""Words of the dialog for the order of running numbers, and for the corner in which they begin."""
+
+
 def place_html(contents: FileContents | None) -> Markup:
-    """Return the drawing of the fields on the sample, with the size of the whole."""
+    """Return the drawing of the fields on the sample, with the size of the whole, and what mirrors them."""
     if contents is None or contents.kind != "images":
         return Markup()
     if contents.field_um is None:
@@ -307,7 +324,9 @@ def place_html(contents: FileContents | None) -> Markup:
         '<svg width="{w:.0f}" height="{h:.0f}" viewBox="-1 -1 {w:.0f} {h:.0f}" role="img" aria-label="Fields">{f}</svg>'
     ).format(w=across_um * scale + 2, h=down_um * scale + 2, f=Markup("").join(fields))
     caption = f"{number(across_um, 0)} × {number(down_um, 0)}{THIN}µm"
-    return Markup('<div class="wv-imp-place">{}<div>{}</div></div>').format(drawing, caption)
+    links = Markup(" · ").join((_toggle("mirror-x", "Mirror x"), _toggle("mirror-y", "Mirror y")))
+    mirror = Markup("<div>{}</div>").format(links) if contents.fields > 1 else Markup()
+    return Markup('<div class="wv-imp-place">{}<div>{}</div>{}</div>').format(drawing, caption, mirror)
 
 
 def fields_words(contents: FileContents | None) -> str:
