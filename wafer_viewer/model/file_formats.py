@@ -17,7 +17,7 @@ _HEIGHTS_ONLY = (
     "It holds heights only: confidence, uncertainty, the all-in-focus picture, measured heights, what was filled in "
     "and why pixels are unmeasured stay behind"
 )
-_MESH = "It is a drawing, not data: a part of the heights as a mesh, without gaps marked, and is not read back"
+_MESH = "It is a drawing, not data: a part of the heights as a mesh, without the layers, and without gaps marked"
 MESH_POINTS = 1_000_000
 """Default number of points of a mesh."""
 
@@ -123,6 +123,7 @@ OWN_FORMATS = (
         title="STL, a mesh",
         loses=f"{_MESH}; x and y are counted from the corner of the surface.",
         layout="µm from the surface's corner",
+        reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_stl",
         is_mesh=True,
     ),
@@ -131,6 +132,7 @@ OWN_FORMATS = (
         title="OBJ, a mesh",
         loses=f"{_MESH}.",
         layout="stage µm",
+        reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_obj",
         is_mesh=True,
     ),
@@ -139,8 +141,15 @@ OWN_FORMATS = (
         title="GLB, a mesh with grey",
         loses=f"{_MESH}.",
         layout="m, y up",
+        reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_glb",
         is_mesh=True,
+    ),
+    SurfaceFormat(
+        suffixes=(".3mf",),
+        title="3MF, a mesh",
+        layout="its own unit; meshes are read by `pip install 'wafer-viewer[surfaces]'`",
+        reader=f"{_STORE}.mesh_files:read_mesh",
     ),
 )
 

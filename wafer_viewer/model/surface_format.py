@@ -73,8 +73,8 @@ class Reading(Spec, frozen=True, kw_only=True):
     """User-supplied properties of a surface file that does not contain them.
 
     z_unit: unit of its heights, and of all three coordinates of points; pixel_um: pixel size, or the grid spacing for
-    scattered points; invert_z: its values are depths, so the sign is inverted; table: whether the lines of a text are
-    points or the rows of a matrix of heights, where it could be either.
+    scattered points and meshes; invert_z: its values are depths, so the sign is inverted; table: whether the lines of a
+    text are points or the rows of a matrix of heights, where it could be either.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError

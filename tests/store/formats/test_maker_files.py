@@ -10,6 +10,7 @@ import zlib
 
 import numpy as np
 import pytest
+import scipy.io
 
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.errors import DatasetError
@@ -109,6 +110,16 @@ def test_the_pixels_of_nms_are_nanometres(tmp_path, library):
     back = read_surface(tmp_path / "a.nms")
     assert back.pixel_um == pytest.approx(0.3125)
     np.testing.assert_allclose(back.z_um, Z.clip(1), atol=1e-4)
+
+
+def test_a_matrix_of_matlab_has_its_first_row_on_top(tmp_path, library):
+    """Shown as MATLAB's imagesc does; it has no units, which are asked for."""
+    scipy.io.savemat(tmp_path / "a.mat", {"z": KNOWN, "n": 7})
+    with pytest.raises(DatasetError, match="states no pixel size: give it, as in --pixel-um"):
+        read_surface(tmp_path / "a.mat", z_unit="um")
+    back = read_surface(tmp_path / "a.mat", z_unit="um", pixel_um=0.5)
+    np.testing.assert_allclose(back.z_um, KNOWN, atol=1e-6)
+    assert "The first row of its matrix 'z' was taken as the top edge" in " ".join(back.provenance.notes)
 
 
 def test_a_mean_of_76_mm_costs_no_nanometres(tmp_path, library):

@@ -53,7 +53,7 @@ def read_surface(
         Unit of the heights if the file states none (m, cm, mm, um, nm, pm or inch), for points of all three
         coordinates.
     pixel_um : float, optional
-        Pixel size in um if the file states none, or the lattice pitch for scattered points.
+        Pixel size in um if the file states none, or the pitch on which scattered points and meshes are gridded.
     invert_z : bool, default False
         The values are depths: their sign is inverted.
     progress : callable, optional
@@ -72,16 +72,17 @@ def read_surface(
     Raises
     ------
     DatasetError
-        With one sentence on the file, the cause and the remedy: when the file does not exist, is no surface, is a mesh,
-        is damaged, holds no height, states no unit or no pixel size and none is given, contradicts itself or the given
+        With one sentence on the file, the cause and the remedy: when the file does not exist, is no surface, is
+        damaged, holds no height, states no unit or no pixel size and none is given, contradicts itself or the given
         values, or the work is stopped.
     WaferViewerError
         When the provenance in an ``.npz`` is invalid.
 
     Notes
     -----
-    The files that `export` writes can be read, except meshes (``.stl``, ``.obj``, ``.glb``). For an ``.npz``, `z_unit`,
-    `pixel_um` and `invert_z` have no effect. A surface of heights only has confidence 1 and a black all-in-focus image.
+    The files that `export` writes can be read, a mesh (``.stl``, ``.obj``, ``.glb``) as it is seen from above. For an
+    ``.npz``, `z_unit`, `pixel_um` and `invert_z` have no effect. A surface of heights only has confidence 1 and a black
+    all-in-focus image.
 
     References
     ----------
@@ -124,11 +125,6 @@ def _reader_of(path: Path, options: ReadOptions) -> Reader:
         options.notes.append(f"Its content and not its ending told its format: {kind.title}.")
     if kind is not None and kind.reader is not None:
         return imported(kind.reader)
-    if kind is not None and kind.is_mesh:
-        raise DatasetError(
-            f"{path.name} is a mesh, a drawing of a surface without its lattice, gaps and units: "
-            "give the file it was made of, or one as X3P, GWY or PLY."
-        )
     raise DatasetError(f"{path.name} has no ending of a surface file: give one of {', '.join(READ)}.")
 
 

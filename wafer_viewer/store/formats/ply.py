@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.store.formats.mesh_files import is_installed, read_mesh
 from wafer_viewer.store.formats.point_gridding import (
     AT_A_TIME,
     Block,
@@ -74,11 +75,13 @@ def write_ply(strips: Strips, path: Path) -> None:
 
 
 def read_ply(path: Path, options: ReadOptions) -> HeightMap:
-    """Read the surface sampled by the points of a PLY file, or by the vertices of a mesh."""
+    """Read the surface sampled by the points of a PLY file, or by a mesh."""
     head = _head(path, options)
     embedded = head.comments.pop(OURS, None)
     about = parse_metadata(embedded)
     came_from = provenance_of(about, embedded, *head.comments, *head.comments.values())
+    if head.has_faces and about is None and is_installed():
+        return read_mesh(path, options, head.comments.get("unit"))
     units = units_of(head.comments.get("unit"), about, options)
     points = PointCloud(lambda: _blocks(path, head, options), units, about, came_from, head.n_points)
     return surface_of_points(points, options)
@@ -91,6 +94,7 @@ class _Head:
     fields: dict[str, str]
     comments: dict[str, str]
     begin: int
+    has_faces: bool
 
 
 def _head(path: Path, options: ReadOptions) -> _Head:
@@ -122,7 +126,8 @@ def _head(path: Path, options: ReadOptions) -> _Head:
         if axis not in fields:
             raise options.refuse(f"has no {axis} among the properties of its points: write it with x, y and z.")
     require_points(path, int(n_points), options)
-    return _Head(order, int(n_points), fields, comments, len(text) + len(end))
+    has_faces = any(line.split()[1:2] == ["face"] and line.split()[-1] != "0" for line in elements)
+    return _Head(order, int(n_points), fields, comments, len(text) + len(end), has_faces)
 
 
 def _blocks(path: Path, head: _Head, options: ReadOptions) -> Iterator[Block]:

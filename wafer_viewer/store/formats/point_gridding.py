@@ -68,12 +68,12 @@ def surface_of_points(points: PointCloud, options: ReadOptions) -> HeightMap:
     if about is not None:
         lattice = PointLattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
         _require_room(lattice, points, options)
-        if (surface := _assign_to_lattice(points, lattice, options)) is not None:
+        if (surface := assign_to_lattice(points, lattice, options)) is not None:
             return surface
     lattice = _detect_lattice(points, options)
     if lattice is not None and (requested_um is None or abs(requested_um / lattice.pixel_um - 1) < _UNEVEN):
         _require_room(lattice, points, options)
-        if (surface := _assign_to_lattice(points, lattice, options)) is not None:
+        if (surface := assign_to_lattice(points, lattice, options)) is not None:
             return surface
     if requested_um is None:
         raise options.refuse(
@@ -82,7 +82,7 @@ def surface_of_points(points: PointCloud, options: ReadOptions) -> HeightMap:
     return _gridded(points, requested_um, options)
 
 
-def _assign_to_lattice(points: PointCloud, lattice: PointLattice, options: ReadOptions) -> HeightMap | None:
+def assign_to_lattice(points: PointCloud, lattice: PointLattice, options: ReadOptions) -> HeightMap | None:
     """Assign each point to its lattice position; None if one is off the lattice, outside, or a duplicate."""
     layers = _Layers(lattice)
     for block in points.blocks():
@@ -190,7 +190,7 @@ def _detect_lattice(points: PointCloud, options: ReadOptions) -> PointLattice | 
         raise options.refuse("contains no heights: export it again from a measured surface.")
     if min(len(xs), len(ys)) < _TOO_FEW:
         raise options.refuse("has its points on one line: give a file with a surface.")
-    along, across = _pitch(xs), _pitch(ys)
+    along, across = pitch_of(xs), pitch_of(ys)
     if along is None or across is None:
         return None
     cols, rows = along[1], across[1]
@@ -202,7 +202,7 @@ def _detect_lattice(points: PointCloud, options: ReadOptions) -> PointLattice | 
     return PointLattice(float(pixel_um), float(xs[0]), float(ys[-1]), rows, cols)
 
 
-def _pitch(values: Floats) -> tuple[float, int] | None:
+def pitch_of(values: Floats) -> tuple[float, int] | None:
     """Return the pitch of sorted values and the number of positions; None if they are irregular."""
     steps = np.diff(values)
     smallest = float(steps.min())
