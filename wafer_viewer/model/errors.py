@@ -118,7 +118,7 @@ def parser_errors_as(refusal: Callable[[Exception], WaferViewerError]) -> Genera
 
 def detail(fault: Exception) -> str:
     """Return the message of a parser in brackets, on one line and shortened; empty if it has none."""
-    text = " ".join(str(fault).split()).rstrip(".")
+    text = "".join(filter(str.isprintable, " ".join(str(fault).split()))).rstrip(".")
     return f" ({text[:_LONGEST_DETAIL]})" if text else ""
 
 

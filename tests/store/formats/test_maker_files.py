@@ -151,6 +151,7 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path, library, name, content, g
     with pytest.raises(DatasetError, match=rf"^{name} {sentence}.*\.$") as fault:
         read_surface(tmp_path / name, **given)
     assert str(fault.value).count(". ") == 0
+    assert str(fault.value).isprintable()
 
 
 @pytest.mark.parametrize("name", ["a.al3d", "text.sdf", "binary.sdf", "a.sur", "packed.sur", "a.nms"])
