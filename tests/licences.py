@@ -22,6 +22,7 @@ OF_NAMED = {
     "mm-test-adapters": "LGPL-2.1-only",  # of Micro-Manager like pymmcore; states none
     "genicam": "LicenseRef-GenICam-1.6",  # an extra, the reference implementation of EMVA
     "pylibczirw": "LGPL-3.0-only",  # an extra, a library of its own that users may exchange
+    "igor2": "LGPL-3.0-or-later",  # brought along by the extra that reads surfaces of makers
     "docutils": "CC0-1.0",  # public domain but for some files that are not imported
 }
 """Licences beyond `RUN_TIME`, or not stated in a form that can be read: of extras and tools of the tests alone."""
@@ -30,6 +31,7 @@ EXCHANGEABLE = {"libusb-package": "Apache-2.0 AND LGPL-2.1-or-later"}
 _WORDS = {
     "mit license": "MIT",
     "mit": "MIT",
+    "### mit license": "MIT",
     "the mit license (mit)": "MIT",
     "bsd license": "BSD",
     "bsd": "BSD",

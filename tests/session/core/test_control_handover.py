@@ -192,6 +192,7 @@ FREE = {
     *("control.sign_in", "control.sign_out"),
     *("live.keep_picture", "calibration.refresh"),
     *("papers.keep_picture", "papers.write_report", "papers.contents"),
+    *("exchange.look", "exchange.stop_look"),
     *("browsing.list_folder", "browsing.look", "browsing.allowed"),
     *("browsing.path_of", "browsing.existing", "browsing.remember"),
     *("comparing.choices", "sections.section", "sections.others", "sections.file", "defects.files.write"),
