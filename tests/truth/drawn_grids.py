@@ -1,8 +1,9 @@
 """Grids of fields drawn from a distribution by seed: what stitching is tuned on (seeds below 1000) and judged by.
 
 Random texture, dies that repeat every 10 to 200 px with and without dust, and lines; uneven light; stages with
-backlash, drift, turn and scale; missing fields, fields that do not belong, blank ground. The pictures are sampled from
-smooth pictures of the whole by cubic splines, so that every place between two pixels has a true value.
+backlash, drift, turn and scale; missing fields, fields that do not belong, blank ground. No seed draws a lens that
+distorts or an overlap that is not the stated one; tests plant both. The pictures are sampled from smooth pictures of
+the whole by cubic splines, so that every place between two pixels has a true value.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class DrawnGrid:
     last field against the first; turn (rad) and scale (fraction): of the stage against the camera; fall_off: of the
     light in the middle of an edge, twice as much in a corner; off_centre: of the brightest place, in half fields;
     dust: spots per field; blank: share of the ground without anything to see; misfits: number of field to what is
-    wrong with it.
+    wrong with it; distortion: of the third order, the fraction by which a corner lies too far from the axis of the lens
+    at `lens_at`, in half fields; stated_overlap: by which the places of the fields were made up, None without a doubt.
     """
 
     seed: int
@@ -59,6 +61,9 @@ class DrawnGrid:
     noise: float
     missing: tuple[int, ...]
     misfits: tuple[tuple[int, str], ...]
+    distortion: float = 0.0
+    lens_at: tuple[float, float] = (0.0, 0.0)
+    stated_overlap: float | None = None
 
     @property
     def periodic(self) -> bool:
@@ -210,6 +215,8 @@ def _places(grid: DrawnGrid, rng: np.random.Generator) -> tuple[Floats, Floats]:
     off += grid.scale * arm + grid.turn * np.column_stack((arm[:, 1], -arm[:, 0]))
     true = asked + off
     shift = MARGIN_PX - true.min(axis=0)
+    if grid.stated_overlap is not None:
+        asked = asked * (1 - grid.stated_overlap) / (1 - grid.overlap)
     return true + shift, asked + shift
 
 
@@ -244,6 +251,11 @@ class _Ground:
     def seen(self, at: Floats, shape: tuple[int, int]) -> Floats:
         """Return what a field at (x, y) sees, grey in counts."""
         y, x = np.meshgrid(at[1] + np.arange(shape[0]), at[0] + np.arange(shape[1]), indexing="ij")
+        if self.grid.distortion:
+            half_px = (np.array(shape[::-1]) - 1) / 2
+            from_axis = np.stack((x, y), -1) - at - half_px * (1 + np.array(self.grid.lens_at))
+            further = self.grid.distortion * np.sum(from_axis**2, axis=-1) / np.sum(half_px**2)
+            x, y = x - further * from_axis[..., 0], y - further * from_axis[..., 1]
         detail = map_coordinates(self.once, (y, x), order=3, mode="mirror", prefilter=False).astype(float)
         cos, sin = np.cos(self.grid.angle), np.sin(self.grid.angle)
         u, v = cos * x + sin * y, cos * y - sin * x

@@ -40,7 +40,8 @@ MOST_LOOKS = 3
 class FieldsToPlace:
     """Fields at their stage positions, stitching parameters, and an earlier solution.
 
-    numbers, marks: as in `Poses`; fixed: fields that keep their earlier pose, bool [n], None to solve for all jointly.
+    numbers, marks: as in `Poses`; fixed: fields that keep their earlier pose, bool [n], None to solve for all jointly;
+    assumed: True if the positions come from an assumed overlap, so that they tell nothing about pixel size and camera.
     """
 
     outlines: Sequence[Outline]
@@ -49,6 +50,7 @@ class FieldsToPlace:
     stitching: Stitching
     previous: PreviousSolution
     fixed: NDArray[np.bool_] | None
+    assumed: bool = False
 
     @classmethod
     def of(
@@ -60,11 +62,13 @@ class FieldsToPlace:
         previous: PreviousSolution | None = None,
         *,
         final: bool = True,
+        assumed: bool = False,
     ) -> FieldsToPlace:
         """Return fields to be solved jointly or, if not `final`, new ones to be placed against the fixed others."""
         listed = np.array(numbers, np.int32)
         previous = previous or PreviousSolution.of(None, listed, marks)
-        return cls(outlines, listed, marks, stitching, previous, None if final else previous.unchanged)
+        fixed = None if final else previous.unchanged
+        return cls(outlines, listed, marks, stitching, previous, fixed, assumed)
 
     @property
     def centres_um(self) -> tuple[Um, Um]:
@@ -227,4 +231,5 @@ def solve_lateral(fields: FieldsToPlace, shifts: Shifts) -> Positions:
         fixed=fields.fixed,
         start=(fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um)),
         camera=fields.form and CameraAxes.of(fields.form),
+        assumed=fields.assumed,
     )

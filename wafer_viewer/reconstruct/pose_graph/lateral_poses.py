@@ -273,6 +273,7 @@ def solve_positions(
     fixed: Flags | None = None,
     start: tuple[Numbers, Numbers] | None = None,
     camera: CameraAxes | None = None,
+    assumed: bool = False,
 ) -> Positions:
     """Estimate the most probable positions of fields [n] from stage positions and overlap shifts.
 
@@ -282,7 +283,8 @@ def solve_positions(
     scale are applied, and noted, only where they are significant and noticeable.
 
     stage_error_um: standard deviation along an axis; ``auto`` estimates it. fixed: bool [n], fields that stay at their
-    position in `start` (x, y). camera: from an earlier solution, not estimated again. Raises ComputeError when the
+    position in `start` (x, y). camera: from an earlier solution, not estimated again. assumed: the stage positions were
+    made up, so that rotation and scale are those of the assumption: applied, never noted. Raises ComputeError when the
     overlaps contradict the pixel size.
     """
     fixed = np.zeros(len(stage_x_um), np.bool_) if fixed is None else fixed
@@ -292,8 +294,9 @@ def solve_positions(
     unturned = task.unturned()
     network, solution = task.settled(unturned, (SIGMA, SIGMA))
     found = _found(unturned, solution)
-    notes = found.notes(task.neighbours_um, pixel_um) if np.sum(solution.weight >= REJECTED) >= LEAST_OVERLAPS else ()
-    if not notes:
+    is_known = np.sum(solution.weight >= REJECTED) >= LEAST_OVERLAPS
+    notes = found.notes(task.neighbours_um, pixel_um) if is_known and not assumed else ()
+    if not notes and not (is_known and assumed):
         solution = solution.without_solver
         network, solution = task.settled(unturned, like=solution)
         found = dataclasses.replace(found, turn=0.0, scale=0.0)

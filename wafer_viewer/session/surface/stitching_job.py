@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from wafer_viewer.reconstruct.blending.mosaic_layout import PixelLattice
     from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic
     from wafer_viewer.reconstruct.pose_graph.lateral_poses import PreviousSolution
+    from wafer_viewer.reconstruct.registration.grid_steps import GridSteps
     from wafer_viewer.session.surface.stitching_inputs import StitchingInputs, Window
     from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
@@ -57,9 +58,12 @@ def bring_up_to_date(
     from wafer_viewer.store.records.manifest import sign_result
 
     inputs = StitchingInputs.open(dataset.absolute(), result, recipe)
+    previous = inputs.previous_solution()
+    if (estimated := inputs.with_estimated_steps(previous, final)) is not inputs:
+        inputs, previous = estimated, estimated.previous_solution()
     tasks = _Tasks(inputs, crew or LocalRunner(), progress, should_stop)
     tasks.crew.require_sight(inputs.data.path)
-    previous, outline = inputs.previous_solution(), inputs.outlines[0]
+    outline = inputs.outlines[0]
     solved = _solve_poses(tasks, previous, final)
     poses, moved = freeze_unmoved_fields(solved, previous, outline.pixel_um, outline.corner_um)
     windows = _windows_to_draw(inputs, previous, poses, moved, final)
@@ -85,7 +89,7 @@ class _Tasks:
 
         search_um = self.inputs.recipe.stitching.search_um
         reach_um = None if search_um == "auto" else search_um
-        items = [(*self._names(part), reach_um) for part in _batches(pairs)]
+        items = [(*self._names(part), reach_um, self.inputs.steps) for part in _batches(pairs)]
         results = self._each(register_pairs, items, 0.0, 0.7 * OVERLAP_SHARE)
         return _of_fields(joined(results), pairs) if results else no_shifts()
 
@@ -94,7 +98,7 @@ class _Tasks:
         from wafer_viewer.model.surface.field_poses import joined, no_shifts
 
         parts = zip(_batches(pairs), _batches(shift_um), strict=True)
-        items = [(*self._names(part), shifts) for part, shifts in parts]
+        items = [(*self._names(part), shifts, self.inputs.steps) for part, shifts in parts]
         results = self._each(refine_pairs, items, 0.7 * OVERLAP_SHARE, 0.7 * OVERLAP_SHARE)
         return _of_fields(joined(results), pairs) if results else no_shifts()
 
@@ -151,30 +155,43 @@ def _solve_poses(tasks: _Tasks, previous: PreviousSolution, final: bool) -> Pose
     from wafer_viewer.reconstruct.stitching import find_poses
 
     inputs, stitching = tasks.inputs, tasks.inputs.recipe.stitching
-    fields = FieldsToPlace.of(inputs.outlines, inputs.numbers, inputs.marks, stitching, previous, final=final)
-    return find_poses(
+    fields = FieldsToPlace.of(
+        inputs.outlines, inputs.numbers, inputs.marks, stitching, previous, final=final, assumed=inputs.assumed
+    )
+    poses = find_poses(
         fields, OverlapObservers(tasks.register, tasks.refine, tasks.compare, inputs.surfaces.__getitem__)
     )
+    return replace(poses, notes=inputs.overlap_notes(poses) + poses.notes)
 
 
 def register_pairs(
-    dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], reach_um: float | None
+    dataset: Path,
+    result: str,
+    numbers: list[int],
+    pairs: NDArray[np.int32],
+    reach_um: float | None,
+    steps: GridSteps | None,
 ) -> Shifts:
     """Register some fields by their overlaps in x and y, as a worker's task."""
     from wafer_viewer.reconstruct.registration.pair_registration import register
     from wafer_viewer.session.surface.stitching_inputs import surfaces_of
 
-    return register(surfaces_of(dataset, result, numbers), pairs, reach_um, threads=1)
+    return register(surfaces_of(dataset, result, numbers, steps), pairs, reach_um, threads=1)
 
 
 def refine_pairs(
-    dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], shift_um: NDArray[np.float64]
+    dataset: Path,
+    result: str,
+    numbers: list[int],
+    pairs: NDArray[np.int32],
+    shift_um: NDArray[np.float64],
+    steps: GridSteps | None,
 ) -> Shifts:
     """Measure known shifts of some fields more precisely, as a worker's task."""
     from wafer_viewer.reconstruct.registration.pair_registration import refine
     from wafer_viewer.session.surface.stitching_inputs import surfaces_of
 
-    return refine(surfaces_of(dataset, result, numbers), pairs, shift_um, threads=1)
+    return refine(surfaces_of(dataset, result, numbers, steps), pairs, shift_um, threads=1)
 
 
 def compare_pairs(

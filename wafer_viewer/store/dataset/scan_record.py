@@ -46,6 +46,12 @@ FLAT_FIELD = "flat-field.json"
 """Flat field that the calibration names; absent without one."""
 
 
+_SAME_OVERLAP, _OVERLAP_DIGITS = 1e-9, 4
+"""Rounding error of an overlap, and digits with which people give one."""
+_MOST_OVERLAP = 0.5
+"""Largest overlap from which an import makes up positions."""
+
+
 class ScanRecord(Spec, frozen=True, kw_only=True):
     """Plan, job, rig, calibration, program version and format version.
 
@@ -103,6 +109,24 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     def pixel_um(self) -> float:
         """Calibrated pixel size in um if there is one, otherwise that of the plan."""
         return self.plan.pixel_um if self.calibration is None else self.calibration.pixel_um
+
+    @property
+    def assumed_overlap(self) -> float | None:
+        """Overlap (fraction) from which an import made up the positions of its fields; None where they were stated.
+
+        They were made up where all lie exactly on a grid from (0, 0) with one overlap along both axes, of a whole
+        number of hundredths of a percent.
+        """
+        width_um, height_um = self.plan.cols * self.plan.pixel_um, self.plan.rows * self.plan.pixel_um
+        along_rows = [(field.col * width_um, field.x_um) for field in self.plan.fields]
+        along_cols = [(field.row * height_um, -field.y_um) for field in self.plan.fields]
+        lengths = along_rows + along_cols
+        overlaps = [1 - at_um / full_um for full_um, at_um in lengths if full_um]
+        if not self.imported_from or not overlaps or any(at_um for full_um, at_um in lengths if not full_um):
+            return None
+        given = round(overlaps[0], _OVERLAP_DIGITS)
+        same = all(abs(overlap - given) < _SAME_OVERLAP for overlap in overlaps)
+        return given if same and 0 <= given <= _MOST_OVERLAP else None
 
     @property
     def z_scale(self) -> float:
