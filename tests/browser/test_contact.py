@@ -83,6 +83,7 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     expect(bar).to_contain_text("Nothing moves before the sample is confirmed.")
     bar.get_by_role("button", name="Look, and confirm the sample").click()
     expect(bar).to_be_hidden()
+    expect(page.get_by_text("You hold the controls")).to_be_visible()  # before that a command is refused with a note
     page.locator("[data-pick=confirm-sample]").click()
     expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
     assert page.evaluate("window.stillTheSame === true")  # it was not reloaded, nor opened anew
