@@ -101,3 +101,11 @@ def test_python_does_any_work_on_many_sources_and_stops_between_them(parts, tmp_
     stopped = wv.run_batch([f"{parts}/*.x3p"], work, again=True, should_stop=lambda: len(seen) > 3)
     assert (stopped.done, stopped.stopped) == (1, True)
     assert int(lines(tmp_path / "a.csv")[0]["points"]) == report.rows[0]["points"]
+
+
+def test_reports_are_written_for_many_datasets(tmp_path, parts):
+    (parts / "part_3.x3p").unlink()
+    data = tmp_path / "data"
+    assert main(["batch", "import", f"{parts}/*.x3p", "--to", str(data)]) == 0
+    assert main(["batch", "report", f"{data}/*.wafer", "--to", str(tmp_path / "reports")]) == 0
+    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["part_10.html", "part_2.html"]

@@ -88,8 +88,10 @@ def import_(
     audit(out.absolute().parent, "Images imported", out.name, f"paths: {', '.join(path.name for path in src)}")
 
 
-OUTPUTS: dict[str, tuple[str, ...]] = {"import": ("-o",), "reconstruct": ("-o",), "convert": ()}
-"""Commands of a batch that write a file for each source, with the words before its name."""
+OUTPUTS: dict[str, tuple[str, ...]] = {"import": ("-o",), "reconstruct": ("-o",), "report": ("-o",), "convert": ()}
+ENDINGS = {"import": ".wafer", "report": ".html"}
+"""Commands of a batch that write a file for each source, with the words before its name; and the ending of their only
+format."""
 
 
 def batch(
@@ -115,14 +117,14 @@ def batch(
         command: import, reconstruct, convert, inspect, stitch, report, or a measurement such as 'measure texture'.
         src: Files, folders, or patterns such as 'data/*.tif'.
         to: Folder of the files that are written.
-        ending: Ending of their names, which picks the format; .wafer for import.
+        ending: Ending of their names, which picks the format; .wafer for import, .html for report.
         table: CSV file with a line for each source.
         again: Also do what the table has as done.
     """
     from wafer_viewer.session.files.batch import expanded, output_names, run_batch
 
     paths = expanded(src)
-    outs = _outputs(command, paths, to, ending or (".wafer" if command == "import" else ""), output_names)
+    outs = _outputs(command, paths, to, ending or ENDINGS.get(command, ""), output_names)
     assert run is not None
 
     def work(path: Path) -> Mapping[str, Any]:

@@ -31,7 +31,7 @@ class FrameFact:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class AxisChoice:
     """Names on an axis, channel, time or position, of which one can be taken."""
 
     axis: str
@@ -58,7 +58,7 @@ class FileContents:
     doubts: tuple[str, ...] = ()
     unsettled: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[AxisChoice, ...] = ()
     places_um: tuple[tuple[float, float], ...] = ()
     field_um: tuple[float, float] | None = None
     n_bytes: int = 0

@@ -10,7 +10,7 @@ import pytest
 
 from wafer_viewer.gui.presenters import import_contents as words
 from wafer_viewer.model.acquisition.image_source import ImageOptions
-from wafer_viewer.model.file_contents import Choice, Fact, FileContents, FrameFact
+from wafer_viewer.model.file_contents import AxisChoice, Fact, FileContents, FrameFact
 from wafer_viewer.model.surface_format import Reading
 
 Z_UM = 2.5 * np.arange(11)
@@ -75,7 +75,7 @@ def test_values_stand_with_their_sources_and_open_ones_with_their_tone():
 
 
 def test_a_channel_that_is_not_chosen_is_not_missing():
-    found = replace(contents(), choices=(Choice("channel", ("DAPI", "GFP")),), unsettled=("channel",), doubts=("",))
+    found = replace(contents(), choices=(AxisChoice("channel", ("DAPI", "GFP")),), unsettled=("channel",), doubts=("",))
     assert words.why_not(found) == "the channel is not chosen."
     assert 'data-states="Channel" data-value="" data-tone="attention"' in words.facts_html(found)
 

@@ -12,7 +12,7 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_contents import Choice, Fact, FileContents, FrameFact
+from wafer_viewer.model.file_contents import AxisChoice, Fact, FileContents, FrameFact
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface_format import Reading
@@ -21,7 +21,7 @@ from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.stack_import import OVERLAP_FRACTION, placed_fields
 from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
 from wafer_viewer.store.images.image_files import Paths, image_files, planes_of
-from wafer_viewer.store.images.stack_source import SourceField, StackSource, UnsettledValue, order_doubt, read_source
+from wafer_viewer.store.images.stack_source import ImportSource, SourceField, UnsettledValue, order_doubt, read_source
 
 OnFrame = Callable[[int, Image], None]
 DATASET_ENDING = ".wafer"
@@ -178,7 +178,7 @@ def _of_images(
     )
 
 
-def _read(src: Paths, options: ImageOptions) -> tuple[StackSource | None, list[DatasetError]]:
+def _read(src: Paths, options: ImageOptions) -> tuple[ImportSource | None, list[DatasetError]]:
     """Return the images with what has to be settled; a placeholder stands for each value that is open.
 
     None where it is something else than a value.
@@ -218,14 +218,14 @@ def _name(src: Paths) -> str:
     return alone.name if alone is not None else f"{len(src)} files"  # type: ignore[arg-type]
 
 
-def _choices(planes: Sequence[ImagePlane]) -> Iterator[Choice]:
+def _choices(planes: Sequence[ImagePlane]) -> Iterator[AxisChoice]:
     for axis in ("position", "channel", "time"):
         names = tuple(dict.fromkeys(getattr(plane, axis) for plane in planes))
         if len(names) > 1:
-            yield Choice(axis, names)
+            yield AxisChoice(axis, names)
 
 
-def _facts(planes: Sequence[ImagePlane], image: Image, choices: Sequence[Choice]) -> Iterator[Fact]:
+def _facts(planes: Sequence[ImagePlane], image: Image, choices: Sequence[AxisChoice]) -> Iterator[Fact]:
     """Yield what the files hold before any choice: their number, size, axes, and what they say."""
     yield Fact("files", str(len({plane.path for plane in planes})))
     yield Fact("images", f"{len(planes)} of {image.shape[1]} x {image.shape[0]} px, {8 * image.dtype.itemsize} bits")
@@ -245,7 +245,7 @@ def _facts(planes: Sequence[ImagePlane], image: Image, choices: Sequence[Choice]
     yield Fact("sample", "simulated" if any(plane.simulated for plane in planes) else "real or not stated")
 
 
-def _agreed(source: StackSource, unsettled: Mapping[str, UnsettledValue]) -> Iterator[Fact]:
+def _agreed(source: ImportSource, unsettled: Mapping[str, UnsettledValue]) -> Iterator[Fact]:
     """Yield the lengths that are used, with their sources; those that are not settled with all their values."""
     for name, unit, stated in (
         ("pixel size", " um", source.pixel_um),
@@ -267,7 +267,7 @@ def _length(name: str, stated: Stated[float]) -> Fact:
     return Fact(name, f"{stated.value:.6g} um", stated.source)
 
 
-def _frames(field: SourceField, source: StackSource, z_is_open: bool) -> tuple[FrameFact, ...]:
+def _frames(field: SourceField, source: ImportSource, z_is_open: bool) -> tuple[FrameFact, ...]:
     z_um = field.z_um or tuple(None if z_is_open else k * source.z_step_um.value for k in range(len(field.slots)))
     return tuple(
         FrameFact("" if slot[0] is None else slot[0].name, z) for slot, z in zip(field.slots, z_um, strict=True)
@@ -277,7 +277,7 @@ def _frames(field: SourceField, source: StackSource, z_is_open: bool) -> tuple[F
 def _looked_at(
     frames: tuple[FrameFact, ...],
     field: SourceField,
-    source: StackSource,
+    source: ImportSource,
     on_frame: OnFrame | None,
     progress: Progress | None,
     should_stop: ShouldStop | None,

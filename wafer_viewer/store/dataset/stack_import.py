@@ -36,7 +36,7 @@ from wafer_viewer.numerics.frame_sequence import place_sharpness
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths
-from wafer_viewer.store.images.stack_source import SourceField, StackSource, order_doubt, read_source
+from wafer_viewer.store.images.stack_source import ImportSource, SourceField, order_doubt, read_source
 from wafer_viewer.store.io.atomic_files import atomic_write, require_space
 from wafer_viewer.store.records.manifest import forget_marks, sign_scan
 
@@ -180,7 +180,7 @@ def _require_supported(frames: Iterable[tuple[ImagePlane, Image]]) -> None:
         raise DatasetError(f"{doubt} {NOTHING_WRITTEN}")
 
 
-def _only_field(source: StackSource) -> SourceField:
+def _only_field(source: ImportSource) -> SourceField:
     """Return the field of a source. Raises DatasetError where a choice of position or exposure is missing."""
     if len(source.fields) > 1:
         names = ", ".join(field.name for field in source.fields[:8])
@@ -442,7 +442,7 @@ def _frame(shot: Shot, field: Field, z_um: float, plane: ImagePlane, image: Imag
     )
 
 
-def _job(source: StackSource, first: Image, overlap_fraction: float) -> Job:
+def _job(source: ImportSource, first: Image, overlap_fraction: float) -> Job:
     slots = source.fields[0].slots
     return Job(
         fields=placed_fields(source, first, overlap_fraction),
@@ -451,7 +451,7 @@ def _job(source: StackSource, first: Image, overlap_fraction: float) -> Job:
     )
 
 
-def placed_fields(source: StackSource, first: Image, overlap_fraction: float) -> tuple[Field, ...]:
+def placed_fields(source: ImportSource, first: Image, overlap_fraction: float) -> tuple[Field, ...]:
     """Return the fields where the files say that they lie, else on a grid by their names, else at 0.
 
     first: an image, for its size. overlap_fraction: of neighbouring fields, where the files do not say their places.

@@ -63,7 +63,7 @@ class SourceField:
 
 
 @dataclass(frozen=True, slots=True)
-class StackSource:
+class ImportSource:
     """Images as they are taken: fields, agreed lengths, and what is worth telling.
 
     z_step_um: over 0. exposures_us: of each exposure of the slots, empty if unknown. objective: its name with its
@@ -83,7 +83,7 @@ class StackSource:
     notes: tuple[str, ...]
 
 
-def read_source(src: Paths, options: ImageOptions) -> StackSource:
+def read_source(src: Paths, options: ImageOptions) -> ImportSource:
     """Return the stacks of a folder, a file or a list of files.
 
     Parameters
@@ -95,7 +95,7 @@ def read_source(src: Paths, options: ImageOptions) -> StackSource:
 
     Returns
     -------
-    StackSource
+    ImportSource
         One field, or one for each stated position.
 
     Raises
@@ -128,7 +128,7 @@ def read_source(src: Paths, options: ImageOptions) -> StackSource:
     if not named:
         _require_places(fields, pixel.value)
     exposures_us, of_exposures = _exposures_us(fields)
-    return StackSource(
+    return ImportSource(
         fields=fields,
         pixel_um=pixel,
         z_step_um=step,

@@ -30,7 +30,7 @@ _SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TilePlace:
     """Place of a tile: in um on the stage, y up; or in px of the mosaic, y down, if `in_px`."""
 
     x: float
@@ -83,7 +83,7 @@ def mirrored(x: float, y: float, mirror: Mirror) -> tuple[float, float]:
 # --- tables
 
 
-def places_of(path: Path) -> dict[str, Place]:
+def places_of(path: Path) -> dict[str, TilePlace]:
     """Return the places of a table by file name, label, ``n`` or ``row,col``.
 
     Raises
@@ -96,8 +96,8 @@ def places_of(path: Path) -> dict[str, Place]:
     except OSError as fault:
         raise DatasetError(f"{path} cannot be read ({fault.strerror}): check the path of --places.") from fault
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    readers: tuple[Callable[[list[str]], Iterator[tuple[str, Place]]], ...] = (_in_px(_FIJI), _in_px(_MIST))
-    found: dict[str, Place] = {}
+    readers: tuple[Callable[[list[str]], Iterator[tuple[str, TilePlace]]], ...] = (_in_px(_FIJI), _in_px(_MIST))
+    found: dict[str, TilePlace] = {}
     if text.lstrip().startswith("{"):
         pairs = list(_micro_manager(text, path.name))
     else:
@@ -109,7 +109,7 @@ def places_of(path: Path) -> dict[str, Place]:
     return found
 
 
-def matched(places: Mapping[str, Place], names: Sequence[Sequence[str]], table: str) -> list[Place]:
+def matched(places: Mapping[str, TilePlace], names: Sequence[Sequence[str]], table: str) -> list[TilePlace]:
     """Return the place of each field, which the table may call by any of its names.
 
     Raises
@@ -129,33 +129,33 @@ def matched(places: Mapping[str, Place], names: Sequence[Sequence[str]], table: 
     return [place for place in found if place is not None]
 
 
-def _in_px(line_of: re.Pattern[str]) -> Callable[[list[str]], Iterator[tuple[str, Place]]]:
-    def read(lines: list[str]) -> Iterator[tuple[str, Place]]:
+def _in_px(line_of: re.Pattern[str]) -> Callable[[list[str]], Iterator[tuple[str, TilePlace]]]:
+    def read(lines: list[str]) -> Iterator[tuple[str, TilePlace]]:
         for line in lines:
             if (match := line_of.match(line)) is not None:
-                yield Path(match["name"].strip()).name, Place(float(match["x"]), float(match["y"]), in_px=True)
+                yield Path(match["name"].strip()).name, TilePlace(float(match["x"]), float(match["y"]), in_px=True)
 
     return read
 
 
-def _micro_manager(text: str, name: str) -> Iterator[tuple[str, Place]]:
+def _micro_manager(text: str, name: str) -> Iterator[tuple[str, TilePlace]]:
     """Yield the places of a position list, of Micro-Manager 1.4 or 2."""
     try:
         known = json.loads(text)
         if "POSITIONS" in known:
             for one in known["POSITIONS"]:
                 stage = next(device for device in one["DEVICES"] if device["AXES"] == 2)
-                yield one["LABEL"], Place(float(stage["X"]), float(stage["Y"]))
+                yield one["LABEL"], TilePlace(float(stage["X"]), float(stage["Y"]))
             return
         for one in known["map"]["StagePositions"]["array"]:
             devices = [device["Position_um"]["array"] for device in one["DevicePositions"]["array"]]
             x_um, y_um = next(values for values in devices if len(values) == 2)
-            yield one["Label"]["scalar"], Place(float(x_um), float(y_um))
+            yield one["Label"]["scalar"], TilePlace(float(x_um), float(y_um))
     except (ValueError, KeyError, TypeError, StopIteration, RuntimeError) as fault:
         raise DatasetError(f"{name} is no position list of Micro-Manager: save it anew, or give a CSV.") from fault
 
 
-def _csv(lines: list[str], name: str) -> Iterator[tuple[str, Place]]:
+def _csv(lines: list[str], name: str) -> Iterator[tuple[str, TilePlace]]:
     heading = lines[0] if lines else ""
     separator = max(";\t,", key=heading.count)
     rows = list(csv.reader(lines, delimiter=separator))
@@ -176,7 +176,7 @@ def _csv(lines: list[str], name: str) -> Iterator[tuple[str, Place]]:
         unit = lengths["x"][1]
         in_px = unit.startswith("p")
         scale = 1.0 if in_px else _UM[unit]
-        yield Path(key).name if len(key_of) == 1 else key, Place(x * scale, y * scale, in_px)
+        yield Path(key).name if len(key_of) == 1 else key, TilePlace(x * scale, y * scale, in_px)
 
 
 def _key_columns(words: list[str]) -> tuple[int, ...] | None:
