@@ -107,3 +107,6 @@ def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(
     expect(dialog.locator(".wv-imp-place")).to_contain_text("45 × 23\u202fµm")
     dialog.get_by_text("Mirror x").click()
     expect(dialog.locator("code")).to_contain_text("--columns 3 --mirror x -o grid.wafer")
+    type_into(page, "Columns", "0.2")
+    expect(dialog).to_contain_text("Not looked at")
+    expect(dialog).to_contain_text("The number of columns is 0: it must be")

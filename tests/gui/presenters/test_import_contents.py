@@ -105,3 +105,9 @@ def test_the_command_line_makes_the_same_import():
 def test_names_of_files_are_text_in_the_html():
     found = replace(contents(None), left_out=("<b>.png",))
     assert "<b>.png" not in words.files_html(found, False)
+
+
+def test_a_flag_without_a_field_in_the_dialog_is_left_as_it_is():
+    text = "copy it there, or start the viewer with --browse /tmp."
+    assert words.page_words(text) == text
+    assert words.page_words("give it with --pixel-um") == "give it under Pixel"

@@ -121,6 +121,10 @@ class FileList:
             return (sent,)
         return tuple(self._browsing.existing(text, self._base) for text in texts)
 
+    def existing(self, text: str) -> Path:
+        """Return the path of another typed text, relative to the shown folder. Raises DatasetError as `chosen` does."""
+        return self._browsing.existing(text, self._base)
+
     def paths(self) -> tuple[Path, ...]:
         """Return the chosen paths and remember them; a folder that cannot be chosen is shown instead.
 

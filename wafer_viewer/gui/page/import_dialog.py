@@ -110,7 +110,7 @@ class ImportDialog:
         self._columns = OptionalNumber(gui, "Columns", over=0, hint="Of a grid whose fields have running numbers, {n}")
         self._order = gui.add_dropdown("Numbered", tuple(words.ORDERS.values()), visible=False)
         self._corner = gui.add_dropdown("Begins", tuple(words.CORNERS.values()), visible=False)
-        self._places = gui.add_text("Places", "", hint="Table of places: TileConfiguration.txt, MIST, .pos or CSV")
+        self._places = gui.add_text("Place table", "", hint="Of the fields: TileConfiguration.txt, MIST, .pos or CSV")
         self._only = gui.add_text("Only", "", hint="Files to take, by a pattern of their names such as img_*.png")
         self._name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
         texts = (self._unit, self._depths, self._pattern, self._places, self._only, self._name)
@@ -180,7 +180,7 @@ class ImportDialog:
         )
 
     def _grid(self) -> dict[str, Any]:
-        """Return how the fields are numbered, mirrored, and placed by a table."""
+        """Return how the fields are numbered, mirrored, and placed by a table, which the viewer may show."""
         columns, places = self._columns.value, self._places.value.strip()
         mirror = "both" if len(self._mirrored) > 1 else next(iter(self._mirrored), "none")
         return {
@@ -188,7 +188,7 @@ class ImportDialog:
             "order": _key_of(words.ORDERS, self._order.value),
             "corner": _key_of(words.CORNERS, self._corner.value),
             "mirror": mirror,
-            "places": Path(places).expanduser() if places else None,
+            "places": self._files.existing(places) if places else None,
         }
 
     def _reading(self) -> Reading:
@@ -373,4 +373,5 @@ def _progress(fraction: float | None) -> Markup:
 
 
 def _problem(text: str) -> Markup:
-    return Markup('<div class="wv-lab wv-file-told">{}</div>').format(words.reason(text))
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 17)
+    return html.note("attention", "Not looked at", words.reason(text), Markup(), sign)

@@ -35,7 +35,7 @@ LABELS = {
     "--only": "Only",
     "--pattern": "Pattern",
     "--columns": "Columns",
-    "--places": "Places",
+    "--places": "Place table",
     "--z-unit": "z unit",
     "--as-listed": "Take all files",
 }
@@ -44,14 +44,15 @@ FIELDS_OF_FACTS = "pixel size", "z step", "numerical aperture"
 """Facts that have a field of their own in the dialog."""
 
 
+_KNOWN = "|".join(LABELS)
 _PHRASES = (
     (r", as in (--(?:channel|time|position)) '.*?', or its number, from 0", r" under \1"),
     (r"leave (--[\w-]+) out", r"empty \1"),
     (r"give --overrule", "take the typed values"),
     (r" with --overrule", " and take the typed values"),
     (r" with --as-listed", " below"),
-    (r"with (--[\w-]+)", r"under \1"),
-    (r"as in (--[\w-]+)", r"as \1"),
+    (rf"with ({_KNOWN})", r"under \1"),
+    (rf"as in ({_KNOWN})", r"as \1"),
 )
 """What the dialog says instead of phrases with a flag."""
 

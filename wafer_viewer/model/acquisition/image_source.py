@@ -111,5 +111,6 @@ class ImageOptions(Spec, frozen=True, kw_only=True):
 
     def refuse(self, name: str, limit: str) -> NoReturn:
         """Raise DatasetError with the value in its unit."""
-        title, unit = name.removesuffix("_um").replace("_", " "), " um" if name.endswith("_um") else ""
+        title = "number of columns" if name == "columns" else name.removesuffix("_um").replace("_", " ")
+        unit = " um" if name.endswith("_um") else ""
         raise self.error(f"The {title} is {getattr(self, name)}{unit}: it must be {limit}.")
