@@ -264,8 +264,8 @@ def _plane_of(number: int, one: _Entry, names: Mapping[str, Sequence[Any]], summ
 
 
 def _read_ndtiff(one: _Entry, name: str) -> Image:
-    kind, n_values = _TYPES[one.kind]
     with parser_errors_as(partial(damaged, name)), one.file.open("rb") as file:
+        kind, n_values = _TYPES[one.kind]
         file.seek(one.offset)
         content = file.read(one.rows * one.cols * n_values * np.dtype(kind).itemsize)
         values: NDArray[Any] = np.frombuffer(content, kind)
