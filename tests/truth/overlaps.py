@@ -65,15 +65,22 @@ def shifts_of(
     blank: float = 0.0,
     turn: float = 0.0,
     scale: float = 0.0,
+    stretch: float = 0.0,
+    skew: float = 0.0,
+    backlash_px: float = 0.0,
+    stage_px: float = STAGE_PX,
 ) -> tuple[Shifts, Numbers]:
     """What registration would say, and where the fields are in the camera's axes, [n, 2].
 
-    wrong, blank: fractions of edges; turn (rad, anticlockwise) and scale (fraction) of the camera.
+    wrong, blank: fractions of edges; turn (rad, anticlockwise) and scale (fraction) of the camera; stretch, skew: of
+    the axes of the stage; backlash_px: of every second row.
     """
     stage = np.column_stack((fields.x_um, fields.y_um))
-    true = stage + random.normal(size=stage.shape) * STAGE_PX * PIXEL_UM
+    true = stage + random.normal(size=stage.shape) * stage_px * PIXEL_UM
+    true[:, 0] += backlash_px * PIXEL_UM * (np.unique(-stage[:, 1].round(), return_inverse=True)[1] % 2)
     arm = true - stage.mean(axis=0)
     true = true + scale * arm + turn * np.column_stack((arm[:, 1], -arm[:, 0]))
+    true = true + stretch * arm * (1, -1) + skew * arm[:, ::-1]
     first, second = fields.pairs.T
     e = len(first)
     message = (true - stage)[second] - (true - stage)[first] + random.normal(size=(e, 2)) * EDGE_PX * PIXEL_UM

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap, Outline
 from wafer_viewer.model.surface.recipe import Stitching
@@ -41,7 +42,8 @@ class FieldsToPlace:
     """Fields at their stage positions, stitching parameters, and an earlier solution.
 
     numbers, marks: as in `Poses`; fixed: fields that keep their earlier pose, bool [n], None to solve for all jointly;
-    assumed: True if the positions come from an assumed overlap, so that they tell nothing about pixel size and camera.
+    assumed: True if the positions come from an assumed overlap, so that they tell nothing about pixel size and camera;
+    calibration: of the pixel size, if there is one.
     """
 
     outlines: Sequence[Outline]
@@ -51,6 +53,7 @@ class FieldsToPlace:
     previous: PreviousSolution
     fixed: NDArray[np.bool_] | None
     assumed: bool = False
+    calibration: Calibration | None = None
 
     @classmethod
     def of(
@@ -63,12 +66,13 @@ class FieldsToPlace:
         *,
         final: bool = True,
         assumed: bool = False,
+        calibration: Calibration | None = None,
     ) -> FieldsToPlace:
         """Return fields to be solved jointly or, if not `final`, new ones to be placed against the fixed others."""
         listed = np.array(numbers, np.int32)
         previous = previous or PreviousSolution.of(None, listed, marks)
         fixed = None if final else previous.unchanged
-        return cls(outlines, listed, marks, stitching, previous, fixed, assumed)
+        return cls(outlines, listed, marks, stitching, previous, fixed, assumed, calibration)
 
     @property
     def centres_um(self) -> tuple[Um, Um]:
@@ -232,4 +236,5 @@ def solve_lateral(fields: FieldsToPlace, shifts: Shifts) -> Positions:
         start=(fields.previous.earlier("x_um", x_um), fields.previous.earlier("y_um", y_um)),
         camera=fields.form and CameraAxes.of(fields.form),
         assumed=fields.assumed,
+        calibration=fields.calibration,
     )

@@ -96,7 +96,13 @@ def stitch(
         raise ComputeError("There is no field to stitch: give at least one height map.")
     placed = heights if fields is None else moved_to(heights, fields)
     numbers = range(1, len(placed) + 1) if fields is None else [f.number for f in fields]
-    listed = FieldsToPlace.of(placed, numbers, np.zeros(len(placed), np.int64), recipe.stitching)
+    listed = FieldsToPlace.of(
+        placed,
+        numbers,
+        np.zeros(len(placed), np.int64),
+        recipe.stitching,
+        calibration=placed[0].provenance.calibration,
+    )
     poses = find_poses(listed, _in_memory_observers(placed, recipe.stitching, progress or silent))
     joint = mosaic_provenance([h.provenance for h in placed], recipe)
     return StitchedMosaic(placed, layout(placed, poses), replace(joint, notes=joint.notes + poses.notes))

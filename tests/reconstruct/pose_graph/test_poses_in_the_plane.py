@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of, wafer
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Form, Numbers, RejectionReason, Shifts, selected
 from wafer_viewer.numerics.block_gradients import LOOSE_PX
@@ -162,6 +163,40 @@ def test_a_turned_camera_is_found_and_the_surface_lies_along_its_axes():
         WHOLE.y_um.mean(),
     )
     assert CameraAxes.of(found.camera.in_form(Form())) == found.camera
+
+
+def test_axes_of_a_stage_that_are_not_alike_are_found():
+    fields = grid(12, 12)
+    axes = {"scale": 7e-4, "stretch": 2e-4, "skew": -1.5e-4}
+    shifts, true = observations(fields, 1007, stage_px=1.0, backlash_px=6.0, **axes)
+    found = solved(fields, shifts)
+    for name, value in axes.items():
+        u = getattr(found.camera, f"u_{name}")
+        assert getattr(found.camera, name) == pytest.approx(value, abs=3 * u)
+        assert 1e-5 < u < 4e-5
+    (note,) = found.notes
+    assert "fields 0.09" in note
+    assert "further apart along x and 0.05" in note
+    assert note.endswith("mrad off square: calibrate stage and pixel size.")
+    assert rms(off_px(found, true)) <= 0.1
+    assert CameraAxes.of(found.camera.in_form(Form())) == found.camera
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_backlash_of_few_rows_is_no_skew(rows):
+    fields = grid(rows, 12)
+    shifts, _ = observations(fields, 1008, stage_px=0.5, backlash_px=8.0)
+    assert not solved(fields, shifts).notes
+
+
+def test_scale_that_contradicts_a_calibration_is_told_with_it():
+    known = {"pixel_um": PIXEL_UM, "u_z_scale": 1e-3, "made": "2026-03-01", "due": "2027-03-01", "against": "standard"}
+    shifts, _ = observations(WHOLE, 1009, scale=2e-3)
+    sure, unsure = (Calibration(u_pixel_um=u * PIXEL_UM, **known) for u in (5e-5, 1e-3))
+    (note,) = solved(WHOLE, shifts, calibration=sure).notes
+    assert "not 0.46729 um: the calibration of 2026-03-01 gives the pixel size within 0.0001 (k = 2, relative)" in note
+    (note,) = solved(WHOLE, shifts, calibration=unsure).notes
+    assert note.endswith("not 0.46729 um: calibrate the pixel size.")
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(2, 2), (4, 4), (13, 16)])

@@ -41,6 +41,16 @@ def test_poses_come_back_as_they_were(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(getattr(stored, item.name), value)
 
 
+def test_poses_of_older_versions_have_a_square_stage(tmp_path: Path) -> None:
+    file = tmp_path / "poses.npz"
+    write_poses(some_poses(), file)
+    with np.load(file) as stored:
+        kept = {name: stored[name] for name in stored.files if not name.endswith(("_stretch", "_skew"))}
+    np.savez(file, **kept)
+    form = read_poses(file).form
+    assert (form.camera_turn, form.camera_stretch, form.u_camera_skew) == (1e-3, 0.0, float("inf"))
+
+
 def test_poses_without_a_column_are_named_with_the_mend(tmp_path: Path) -> None:
     file = tmp_path / "poses.npz"
     write_poses(some_poses(), file)

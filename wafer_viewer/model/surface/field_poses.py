@@ -129,9 +129,11 @@ class Form:
 
     names: terms over the whole surface, lowest first (height, tilt along x and y, bow, twist, saddle); u_um: expanded
     uncertainty (k = 2) of each at the rim of the surface, from the errors of the stage; camera_turn, camera_scale:
-    rotation of the camera axes (rad, anticlockwise) and relative excess of its pixel size against the stage, with
-    standard uncertainties; middle_um: (x, y) where camera and stage coordinates agree; field_form_um: sag common to all
-    fields (x^2, x y, y^2, in um at the corner of a field); field_size_um: (width, height) of that field.
+    rotation of the camera axes (rad, anticlockwise) and relative excess of its pixel size against the stage;
+    camera_stretch, camera_skew: what is more along x and less along y (relative), and the turn of each axis of the
+    stage towards the other (rad); all with standard uncertainties; middle_um: (x, y) where camera and stage coordinates
+    agree; field_form_um: sag common to all fields (x^2, x y, y^2, in um at the corner of a field); field_size_um:
+    (width, height) of that field.
     """
 
     names: tuple[str, ...] = ()
@@ -140,6 +142,10 @@ class Form:
     u_camera_turn: float = float("inf")
     camera_scale: float = 0.0
     u_camera_scale: float = float("inf")
+    camera_stretch: float = 0.0
+    u_camera_stretch: float = float("inf")
+    camera_skew: float = 0.0
+    u_camera_skew: float = float("inf")
     middle_um: tuple[float, float] = (0.0, 0.0)
     field_form_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
     field_size_um: tuple[float, float] = (1.0, 1.0)

@@ -10,11 +10,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import (
     Form,
@@ -28,11 +29,18 @@ from wafer_viewer.model.surface.field_poses import (
 )
 from wafer_viewer.numerics.block_gradients import LOOSE_PX
 from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import arbitrate_bridges, groups
-from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, GraphEdges, PoseGraph, between_neighbours
+from wafer_viewer.reconstruct.pose_graph.pose_graph import (
+    BACKLASH_PX,
+    Flags,
+    GraphEdges,
+    PoseGraph,
+    between_neighbours,
+    parity,
+)
 from wafer_viewer.reconstruct.pose_graph.robust_solver import (
     REJECTED,
     RobustSolution,
-    shared_uncertainties,
+    shared_covariance,
     solve_robust,
     standard_uncertainties,
 )
@@ -157,7 +165,7 @@ def freeze_unmoved_fields(
 
 
 SIGMA = 0.05
-"""Prior standard deviation of rotation (rad) and scale (fraction); uncertain values are not applied."""
+"""Prior standard deviation of a rotation (rad) and a scale (fraction); uncertain values are not applied."""
 
 LEAST_OVERLAPS = 4
 """With fewer overlaps, a single wrong one looks like a wrong pixel size."""
@@ -166,16 +174,33 @@ _SIGNIFICANT = 4.0
 """Smallest rotation or scale that is noted, in standard uncertainties."""
 _WORTH_PX = 0.1
 """Smallest shift of a neighbour by rotation or scale that is noted, in pixels."""
+_TINY_UM = 1e-9
+"""Distance of fields that have no neighbours."""
 _WRONG_SCALE = 0.03
 """Largest error of a given pixel size (fraction); a larger one cannot be right."""
+LEAST_FOR_AXES = 12
+"""The same for axes of the stage that are not alike."""
+_AXES = ("scale", "turn", "stretch", "skew")
+"""Components of the axes, in the order of the shared unknowns."""
+_ALL = len(_AXES) + 2
+"""Number of shared unknowns from which the axes are estimated: with the backlash of rows and of columns, which few rows
+show as a skew. The poses are then solved without it, since nothing tells which direction of a scan is right."""
+
+
+class Reach(NamedTuple):
+    """Median distance of neighbours, and largest distance of a field from the middle, in pixels."""
+
+    neighbour_px: float
+    rim_px: float
 
 
 @dataclass(frozen=True, slots=True)
 class CameraAxes:
     """Camera against stage: rotated anticlockwise by `turn` (rad), pixels too large by `scale` (fraction).
 
-    u_turn, u_scale: standard uncertainties; (middle_x_um, middle_y_um): the point where its axes and those of the stage
-    agree.
+    stretch, skew: of the stage's axes, distances along x too short and along y too long by `stretch` (fraction), each
+    axis turned towards the other by `skew` (rad). u_turn, u_scale, u_stretch, u_skew: standard uncertainties;
+    (middle_x_um, middle_y_um): the point where its axes and those of the stage agree.
     """
 
     turn: float = 0.0
@@ -184,56 +209,106 @@ class CameraAxes:
     u_scale: float = float("inf")
     middle_x_um: float = 0.0
     middle_y_um: float = 0.0
+    stretch: float = 0.0
+    u_stretch: float = float("inf")
+    skew: float = 0.0
+    u_skew: float = float("inf")
 
     @classmethod
     def of(cls, form: Form) -> CameraAxes:
         """Return the camera axes stored in a form."""
-        return cls(form.camera_turn, form.u_camera_turn, form.camera_scale, form.u_camera_scale, *form.middle_um)
+        known = {name: getattr(form, f"camera_{name}") for name in _AXES}
+        known |= {f"u_{name}": getattr(form, f"u_camera_{name}") for name in _AXES}
+        return cls(middle_x_um=form.middle_um[0], middle_y_um=form.middle_um[1], **known)
 
     def in_form(self, form: Form) -> Form:
         """Return a copy of a form with these camera axes."""
-        return dataclasses.replace(
-            form,
-            camera_turn=self.turn,
-            u_camera_turn=self.u_turn,
-            camera_scale=self.scale,
-            u_camera_scale=self.u_scale,
-            middle_um=(self.middle_x_um, self.middle_y_um),
-        )
+        known = {f"camera_{name}": getattr(self, name) for name in _AXES}
+        known |= {f"u_camera_{name}": getattr(self, f"u_{name}") for name in _AXES}
+        return dataclasses.replace(form, middle_um=(self.middle_x_um, self.middle_y_um), **known)
 
     def from_stage(self, stage_x_um: Numbers, stage_y_um: Numbers) -> tuple[Numbers, Numbers]:
         """Transform stage coordinates to camera axes."""
         x, y = self.arms(stage_x_um, stage_y_um)
-        return stage_x_um + self.scale * x + self.turn * y, stage_y_um + self.scale * y - self.turn * x
+        right = (self.scale + self.stretch) * x + (self.turn + self.skew) * y
+        up = (self.scale - self.stretch) * y - (self.turn - self.skew) * x
+        return stage_x_um + right, stage_y_um + up
 
     def arms(self, stage_x_um: Numbers, stage_y_um: Numbers) -> tuple[Numbers, Numbers]:
         """Return the vectors from the middle to stage positions."""
         return stage_x_um - self.middle_x_um, stage_y_um - self.middle_y_um
 
-    def notes(self, field_um: float, pixel_um: float) -> tuple[str, ...]:
-        """Return operator notes on rotation and scale, if they are significant and shift neighbours noticeably.
+    def with_known(self, values: Numbers, covariance: Numbers) -> CameraAxes:
+        """Return the axes with the first [m] of `_AXES` and their uncertainties."""
+        u = np.sqrt(np.diag(covariance)).tolist()
+        names = _AXES[: len(values)]
+        known = dict(zip(names, values.tolist(), strict=True)) | {f"u_{n}": v for n, v in zip(names, u, strict=True)}
+        return dataclasses.replace(self, **known)
 
-        field_um: distance between neighbours. Raises ComputeError when the pixel size cannot be right.
+    @property
+    def is_square(self) -> bool:
+        """True if the axes of the stage have one scale and are at right angles."""
+        return self.stretch == 0 and self.skew == 0
+
+    def significant(self, reach: Reach) -> set[str]:
+        """Return the names of the components that are significant and noticeable.
+
+        Scale and turn are where they shift neighbours, stretch and skew where they shift the outermost fields.
+        """
+        least = {"scale": _WORTH_PX / reach.neighbour_px, "turn": _WORTH_PX / reach.neighbour_px}
+        values = {name: (abs(getattr(self, name)), getattr(self, f"u_{name}")) for name in _AXES}
+        return {
+            name
+            for name, (value, u) in values.items()
+            if value > max(_SIGNIFICANT * u, least.get(name, _WORTH_PX / reach.rim_px))
+        }
+
+    def notes(self, reach: Reach, pixel_um: float, calibration: Calibration | None = None) -> tuple[str, ...]:
+        """Return operator notes on the significant components.
+
+        Raises ComputeError when the pixel size cannot be right.
         """
         notes: list[str] = []
-        if self._matters(self.turn, self.u_turn, field_um, pixel_um):
+        significant = self.significant(reach)
+        known = "" if calibration is None else self._contradicted(calibration)
+        if "turn" in significant:
             turned = f"{abs(self.turn) * 1e3:.2f} mrad {'anticlockwise' if self.turn > 0 else 'clockwise'}"
             notes.append(f"The camera is turned by {turned} against the stage: calibrate its angle.")
-        if self._matters(self.scale, self.u_scale, field_um, pixel_um):
+        if significant & {"stretch", "skew"}:
+            notes.append(f"{self._of_axes('skew' in significant)}: {known or 'calibrate stage and pixel size'}.")
+        if "scale" in significant:
             found_um = pixel_um / (1 + self.scale)
             observed = f"The overlaps say a pixel is {found_um:.5g} um, not {pixel_um:.5g} um"
             if abs(self.scale) > _WRONG_SCALE:
                 raise ComputeError(f"{observed}: give the pixel size of this objective and camera.")
-            notes.append(f"{observed}: calibrate the pixel size.")
+            if self.is_square:
+                notes.append(f"{observed}: {known or 'calibrate the pixel size'}.")
         return tuple(notes)
 
-    def _matters(self, value: float, u: float, field_um: float, pixel_um: float) -> bool:
-        return abs(value) > _SIGNIFICANT * u and abs(value) * field_um > _WORTH_PX * pixel_um
+    def _contradicted(self, calibration: Calibration) -> str:
+        """Return why a scale contradicts a calibration, and the mend; nothing where it does not."""
+        u = calibration.u_pixel_um / calibration.pixel_um
+        if abs(self.scale) + abs(self.stretch) <= _SIGNIFICANT * u:
+            return ""
+        return (
+            f"the calibration of {calibration.made} gives the pixel size within {2 * u:.2g} (k = 2, relative), so that "
+            "the stage or the lens is off, or it no longer holds: check it"
+        )
+
+    def _of_axes(self, is_skew: bool) -> str:
+        """Return a clause on the scale of each axis, and on their angle."""
+        scales = {"x": self.scale + self.stretch, "y": self.scale - self.stretch}
+        x, y = (f"{abs(s):.3%} {'further apart' if s > 0 else 'closer'} along {axis}" for axis, s in scales.items())
+        angle = f", and its axes {2 * abs(self.skew) * 1e3:.2f} mrad off square" if is_skew else ""
+        u = 2 * float(np.hypot(self.u_scale, self.u_stretch))
+        return f"The overlaps have fields {x} and {y} than the stage (U = {u:.3%}, k = 2){angle}"
 
 
 def shared_by_all(x_um: Numbers, y_um: Numbers) -> Numbers:
-    """Return the displacement [n, 2, 2] per unit scale and per rad of rotation, at (x_um, y_um) from the middle."""
-    return np.stack((np.column_stack((x_um, y_um)), np.column_stack((y_um, -x_um))), axis=-1)
+    """Return the displacement [n, 2, 6] per unit of `_AXES` and of each backlash, at (x_um, y_um) from the middle."""
+    none = np.zeros_like(x_um)
+    effects = [(x_um, y_um), (y_um, -x_um), (x_um, -y_um), (y_um, x_um), (parity(y_um), none), (none, parity(x_um))]
+    return np.stack([np.column_stack(effect) for effect in effects], axis=-1)
 
 
 _FLOOR_PX = 0.02
@@ -274,32 +349,31 @@ def solve_positions(
     start: tuple[Numbers, Numbers] | None = None,
     camera: CameraAxes | None = None,
     assumed: bool = False,
+    calibration: Calibration | None = None,
 ) -> Positions:
     """Estimate the most probable positions of fields [n] from stage positions and overlap shifts.
 
     Images are placed on a lattice along the camera axes, so positions are given in these. Where the camera is rotated
     against the stage, or the pixel size is wrong, the surface is rotated and scaled about the middle of the fields, and
     only there do its coordinates equal those of the stage; `Positions.camera` gives the transformation. Rotation and
-    scale are applied, and noted, only where they are significant and noticeable.
+    scale are applied, and noted, only where they are significant and noticeable, and so are another scale of each axis
+    of the stage and an angle between them that is not right.
 
     stage_error_um: standard deviation along an axis; ``auto`` estimates it. fixed: bool [n], fields that stay at their
     position in `start` (x, y). camera: from an earlier solution, not estimated again. assumed: the stage positions were
-    made up, so that rotation and scale are those of the assumption: applied, never noted. Raises ComputeError when the
-    overlaps contradict the pixel size.
+    made up, so that rotation and scale are those of the assumption: applied, never noted. calibration: of the pixel
+    size, to which a note refers. Raises ComputeError when the overlaps contradict the pixel size.
     """
     fixed = np.zeros(len(stage_x_um), np.bool_) if fixed is None else fixed
     task = _Task(stage_x_um, stage_y_um, shifts, pixel_um, stage_error_um, fixed, start)
     if camera is not None:
         return task.positions(*task.settled(camera), camera, camera)
     unturned = task.unturned()
-    network, solution = task.settled(unturned, (SIGMA, SIGMA))
-    found = _found(unturned, solution)
-    is_known = np.sum(solution.weight >= REJECTED) >= LEAST_OVERLAPS
-    notes = found.notes(task.neighbours_um, pixel_um) if is_known and not assumed else ()
-    if not notes and not (is_known and assumed):
-        solution = solution.without_solver
-        network, solution = task.settled(unturned, like=solution)
-        found = dataclasses.replace(found, turn=0.0, scale=0.0)
+    _, every = task.settled(unturned, _ALL)
+    reach = task.reach(unturned)
+    found, m = _estimated_axes(unturned, every, reach, assumed)
+    notes = () if assumed else found.notes(reach, pixel_um, calibration)
+    network, solution = task.settled(unturned, m, like=every.without_solver)
     return dataclasses.replace(task.positions(network, solution, unturned, found), notes=notes)
 
 
@@ -327,26 +401,28 @@ class _Task:
         own_doubt = ~np.isin(self.shifts.doubt, (RejectionReason.NONE, RejectionReason.DISAGREES))
         return ~own_doubt & (np.isfinite(self.shifts.u_x_um) | np.isfinite(self.shifts.u_y_um))
 
-    @property
-    def neighbours_um(self) -> float:
-        """Median distance between overlapping fields."""
+    def reach(self, camera: CameraAxes) -> Reach:
+        """Return the distance between overlapping fields and that of the outermost one; tiny without any."""
         i, j = self.shifts.first[self.usable], self.shifts.second[self.usable]
         distance_um = np.hypot(self.stage_x_um[j] - self.stage_x_um[i], self.stage_y_um[j] - self.stage_y_um[i])
-        return float(np.median(distance_um)) if len(distance_um) else 0.0
+        rim_um = np.hypot(*camera.arms(self.stage_x_um, self.stage_y_um)).max(initial=0.0)
+        neighbour_um = float(np.median(distance_um)) if len(distance_um) else 0.0
+        return Reach(*(max(um, _TINY_UM) / self.pixel_um for um in (neighbour_um, rim_um)))
 
     def settled(
-        self, camera: CameraAxes, shared_sigma: tuple[float, ...] = (), like: RobustSolution | None = None
+        self, camera: CameraAxes, m: int = 0, like: RobustSolution | None = None
     ) -> tuple[PoseGraph, RobustSolution]:
-        """Solve for displacements from the stage positions in camera axes."""
+        """Solve for displacements from the stage positions in camera axes, and for the first m shared unknowns."""
         x_um, y_um = camera.from_stage(self.stage_x_um, self.stage_y_um)
         values = np.zeros((len(x_um), 2))
         if self.start is not None:
             begun = np.column_stack((self.start[0] - x_um, self.start[1] - y_um))
             values[self.fixed] = begun[self.fixed]
-        return solve_robust(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, _decide, like)
+        return solve_robust(self._network(camera, x_um, y_um, m), values, _decide, like)
 
-    def _network(self, camera: CameraAxes, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> PoseGraph:
-        first, second, m = self.shifts.first, self.shifts.second, len(shared_sigma)
+    def _network(self, camera: CameraAxes, x_um: Numbers, y_um: Numbers, m: int) -> PoseGraph:
+        first, second = self.shifts.first, self.shifts.second
+        sigma = np.array((*[SIGMA] * len(_AXES), *[BACKLASH_PX * self.pixel_um] * 2))
         ones = np.broadcast_to(np.eye(2), (len(first), 2, 2))
         error_um = _USUAL_ERROR_PX * self.pixel_um if self.stage_error_um == "auto" else self.stage_error_um
         return PoseGraph(
@@ -361,7 +437,7 @@ class _Task:
             information=self._information(),
             prior_sigma=np.full(2, error_um),
             prior_shared=shared_by_all(*camera.arms(self.stage_x_um, self.stage_y_um))[:, :, :m],
-            shared_sigma=shared_sigma,
+            shared_sigma=sigma[:m],
             ties=GraphEdges.of(first, second, ~self.fixed),
             prior_guess=np.full(2, error_um),
             auto=((0, 1),) if self.stage_error_um == "auto" else (),
@@ -425,10 +501,25 @@ class _Task:
         )
 
 
-def _found(unturned: CameraAxes, solution: RobustSolution) -> CameraAxes:
-    """Return the camera axes from the shared unknowns."""
-    (scale, turn), (u_scale, u_turn) = solution.shared.tolist(), shared_uncertainties(solution).tolist()
-    return dataclasses.replace(unturned, turn=turn, u_turn=u_turn, scale=scale, u_scale=u_scale)
+def _estimated_axes(
+    unturned: CameraAxes, solution: RobustSolution, reach: Reach, assumed: bool
+) -> tuple[CameraAxes, int]:
+    """Return the significant components of the axes, from a solution for all, and how many of `_AXES` are to be solved.
+
+    Without significant ones of the stage's axes, scale and turn are those for none of these. assumed: all count.
+    """
+    values, covariance = shared_covariance(solution, len(_AXES))
+    every = unturned.with_known(values, covariance)
+    n_overlaps = int(np.sum(solution.weight >= REJECTED))
+    is_told = n_overlaps >= LEAST_FOR_AXES and every.significant(reach) & {"stretch", "skew"}
+    if is_told or (assumed and n_overlaps >= LEAST_OVERLAPS):
+        return every, len(_AXES)
+    square = dataclasses.replace(every, stretch=0.0, skew=0.0)
+    given = covariance[:2, 2:] @ np.linalg.inv(covariance[2:, 2:])
+    square = square.with_known(values[:2] - given @ values[2:], covariance[:2, :2] - given @ covariance[2:, :2])
+    if n_overlaps >= LEAST_OVERLAPS and square.significant(reach) & {"scale", "turn"}:
+        return square, 2
+    return dataclasses.replace(square, scale=0.0, turn=0.0), 0
 
 
 def _decide(network: PoseGraph, solution: RobustSolution) -> Numbers:

@@ -47,11 +47,11 @@ def shared_effects(stage: Numbers) -> Numbers:
     by[:, 0, 0] = by[:, 1, 1] = 1
     by[:, :, 2] = arm
     by[:, 0, 3], by[:, 1, 3] = arm[:, 1], -arm[:, 0]
-    by[:, 0, 4], by[:, 1, 5] = _parity(stage[:, 1]), _parity(stage[:, 0])
+    by[:, 0, 4], by[:, 1, 5] = parity(stage[:, 1]), parity(stage[:, 0])
     return by
 
 
-def _parity(along: Numbers) -> Numbers:
+def parity(along: Numbers) -> Numbers:
     """Return 1/2 and -1/2 for every second line of fields at about the same coordinate."""
     order = np.argsort(along, kind="stable")
     gaps = np.diff(along[order])

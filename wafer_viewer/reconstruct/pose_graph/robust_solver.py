@@ -302,11 +302,11 @@ def standard_uncertainties(network: PoseGraph, solution: RobustSolution, wanted:
     return found
 
 
-def shared_uncertainties(solution: RobustSolution) -> Numbers:
-    """Return the uncertainties [m] of the shared unknowns; infinite without a solver."""
+def shared_covariance(solution: RobustSolution, m: int) -> tuple[Numbers, Numbers]:
+    """Return the first m shared unknowns, fewer if there are not as many, and their covariance."""
     if solution.solver is None:
-        return np.full(len(solution.shared), np.inf)
-    return np.sqrt(np.diag(_inverse_of_shared(solution.solver)[1]))
+        return solution.shared[:m], np.diag(np.full(len(solution.shared[:m]), np.inf))
+    return solution.shared[:m], _inverse_of_shared(solution.solver)[1][:m, :m]
 
 
 def _inverse_of_shared(solver: Solver) -> tuple[Numbers, Numbers]:

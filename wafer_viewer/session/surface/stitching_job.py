@@ -156,7 +156,14 @@ def _solve_poses(tasks: _Tasks, previous: PreviousSolution, final: bool) -> Pose
 
     inputs, stitching = tasks.inputs, tasks.inputs.recipe.stitching
     fields = FieldsToPlace.of(
-        inputs.outlines, inputs.numbers, inputs.marks, stitching, previous, final=final, assumed=inputs.assumed
+        inputs.outlines,
+        inputs.numbers,
+        inputs.marks,
+        stitching,
+        previous,
+        final=final,
+        assumed=inputs.assumed,
+        calibration=inputs.data.scan.calibration,
     )
     poses = find_poses(
         fields, OverlapObservers(tasks.register, tasks.refine, tasks.compare, inputs.surfaces.__getitem__)

@@ -77,11 +77,11 @@ def _array(value: Any) -> Any:
 
 
 def _built(kind: type[Any], archive: Archive, prefix: str, **given: Any) -> Any:
-    """Build a table from its arrays, with the declared types."""
+    """Build a table from its arrays, with the declared types; terms that an older form lacks have their default."""
     values = dict(given)
     for item in dataclasses.fields(kind):
-        if item.name not in given:
-            key = prefix + item.name
+        key = prefix + item.name
+        if item.name not in given and (key in archive or kind is not Form):
             values[item.name] = _value(archive.array(key), str(item.type))
     return kind(**values)
 
