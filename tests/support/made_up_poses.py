@@ -15,6 +15,7 @@ from wafer_viewer.model.surface.field_poses import (
     RejectionReason,
     Shifts,
     no_candidates,
+    unknown_bend,
     unknown_drift,
 )
 from wafer_viewer.session.state.snapshot import StitchingInfo
@@ -101,6 +102,7 @@ def _shifts(pairs: np.ndarray, doubt: np.ndarray, believed: np.ndarray, rng: np.
         covariance_um2=np.zeros(n),
         candidates=no_candidates(n),
         drift=unknown_drift(n),
+        bend=unknown_bend(n),
     )
 
 

@@ -14,6 +14,7 @@ from wafer_viewer.model.surface.field_poses import (
     RejectionReason,
     Shifts,
     no_candidates,
+    unknown_bend,
     unknown_drift,
 )
 
@@ -92,7 +93,7 @@ def shifts_of(
     nothing, flat = np.zeros(e), np.zeros(e, np.float32)
     by = np.zeros(e, np.uint8)
     told = (*message.T, u_um, u_um, flat + 0.9, by, doubt, flat, nothing, nothing, nothing)
-    return Shifts(first, second, *told, no_candidates(e), unknown_drift(e)), true
+    return Shifts(first, second, *told, no_candidates(e), unknown_drift(e), unknown_bend(e)), true
 
 
 def repeating(shifts: Shifts, random: np.random.Generator, share: float, pitch_px: float) -> Shifts:

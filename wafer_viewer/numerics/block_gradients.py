@@ -41,6 +41,10 @@ _DRIFT_BLOCKS, _LEAST_FREEDOM = 8.0, 2.0
 """Number of blocks for a degree of freedom of drift, and the smallest number of these."""
 _LEAST_BLOCKS_BENT = 8
 """Smallest number of blocks for a shift that varies across them."""
+_LEAST_BLOCKS_CURVED = 10
+"""The same for one that varies with the square of the place."""
+N_BEND_TERMS = 6
+"""Number of terms of a bend."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -432,13 +436,35 @@ def shift_gradient(blocks: BlockGradients) -> tuple[float, float]:
     """
     if len(blocks.pixels) < _LEAST_BLOCKS_BENT:
         return 0.0, 0.0
-    out = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros(4), np.zeros(4)
-    return _shift_gradient(blocks.place, blocks.pull, blocks.stiffness, *out)
+    bend, u = _fitted_bend(blocks, blocks.place)
+    most = int(np.argmax(np.abs(bend)))
+    return abs(float(bend[most])), abs(float(bend[most] / u[most]))
+
+
+def bend_terms(blocks: BlockGradients) -> Numbers:
+    """Return how the lag (down, right) changes over the blocks, and the standard uncertainties, [2, 6], in pixels.
+
+    The terms are the changes from the middle to the ends along rows and along columns, and the coefficient of the
+    Legendre polynomial of second degree along the longer side: 1 at its ends, -1/2 in the middle. NaN for few blocks.
+    """
+    if len(blocks.pixels) < _LEAST_BLOCKS_CURVED:
+        return np.full((2, N_BEND_TERMS), np.nan)
+    along = blocks.place[:, 0] if blocks.grid[0] > blocks.grid[1] else blocks.place[:, 1]
+    basis = np.column_stack((np.ones_like(along), blocks.place, 1.5 * along**2 - 0.5))
+    return np.stack(_fitted_bend(blocks, basis))[:, 2:]
+
+
+def _fitted_bend(blocks: BlockGradients, basis: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the coefficients (down, right) of functions [n, k] in the shifts of blocks, and their uncertainties."""
+    size = 2 * basis.shape[1]
+    square, line = np.zeros((3, size, size)), np.zeros((2, size))
+    _fit_bend(np.ascontiguousarray(basis), blocks.pull, blocks.stiffness, *square, *line)
+    return line[1], np.sqrt(np.maximum(line[0], 1e-30))
 
 
 @lean_kernel
-def _shift_gradient(
-    place: Float64s,
+def _fit_bend(
+    basis: Float64s,
     pull: Float64s,
     stiffness: Float64s,
     hessian: Float64s,
@@ -446,24 +472,25 @@ def _shift_gradient(
     spread: Float64s,
     sums: Float64s,
     bend: Float64s,
-) -> tuple[float, float]:
-    _fill_bend(place, pull, stiffness, bend, sums, hessian, spread)
-    solid = 1e-6 * (hessian[0, 0] + hessian[1, 1] + hessian[2, 2] + hessian[3, 3]) + 1e-30
-    for p in range(4):
-        hessian[p, p] += solid
+) -> None:
+    """Fit a bend, and write its variances over the sums."""
+    size = bend.size
+    _fill_bend(basis, pull, stiffness, bend, sums, hessian, spread)
+    trace = 0.0
+    for p in range(size):
+        trace += hessian[p, p]
+    for p in range(size):
+        hessian[p, p] += 1e-6 * trace + 1e-30
     _invert_in_place(hessian, inverse)
-    most = 0
-    for p in range(4):
-        for q in range(4):
+    for p in range(size):
+        for q in range(size):
             bend[p] += inverse[p, q] * sums[q]
-        if abs(bend[p]) > abs(bend[most]):
-            most = p
-    _fill_bend(place, pull, stiffness, bend, sums, hessian, spread)
-    variance = 0.0
-    for p in range(4):
-        for q in range(4):
-            variance += inverse[most, p] * spread[p, q] * inverse[most, q]
-    return abs(bend[most]), abs(bend[most]) / math.sqrt(max(variance, 1e-30))
+    _fill_bend(basis, pull, stiffness, bend, sums, hessian, spread)
+    for k in range(size):
+        sums[k] = 0.0
+        for p in range(size):
+            for q in range(size):
+                sums[k] += inverse[k, p] * spread[p, q] * inverse[k, q]
 
 
 @lean_kernel
@@ -488,7 +515,7 @@ def _invert_in_place(matrix: Float64s, inverse: Float64s) -> None:
 
 @lean_kernel
 def _fill_bend(
-    place: Float64s,
+    basis: Float64s,
     pull: Float64s,
     stiffness: Float64s,
     bend: Float64s,
@@ -496,20 +523,21 @@ def _fill_bend(
     hessian: Float64s,
     spread: Float64s,
 ) -> None:
-    """Sum up gradient, Hessian and scatter of the gradient of a bend: change of the lag along rows and columns, [4]."""
+    """Sum up gradient, Hessian and scatter of the gradient of a bend: (down, right) of each function of the place."""
+    size = bend.size
     sums[:], hessian[:], spread[:] = 0.0, 0.0, 0.0
-    for b in range(place.shape[0]):
+    for b in range(basis.shape[0]):
         rest0, rest1 = pull[b, 0], pull[b, 1]
-        for j in range(2):
-            down, right = place[b, j] * bend[2 * j], place[b, j] * bend[2 * j + 1]
+        for j in range(basis.shape[1]):
+            down, right = basis[b, j] * bend[2 * j], basis[b, j] * bend[2 * j + 1]
             rest0 -= stiffness[b, 0, 0] * down + stiffness[b, 0, 1] * right
             rest1 -= stiffness[b, 1, 0] * down + stiffness[b, 1, 1] * right
-        for p in range(4):
-            of_p = place[b, p // 2] * (rest0 if p % 2 == 0 else rest1)
+        for p in range(size):
+            of_p = basis[b, p // 2] * (rest0 if p % 2 == 0 else rest1)
             sums[p] += of_p
-            for q in range(4):
-                spread[p, q] += of_p * place[b, q // 2] * (rest0 if q % 2 == 0 else rest1)
-                hessian[p, q] += place[b, p // 2] * place[b, q // 2] * stiffness[b, p % 2, q % 2]
+            for q in range(size):
+                spread[p, q] += of_p * basis[b, q // 2] * (rest0 if q % 2 == 0 else rest1)
+                hessian[p, q] += basis[b, p // 2] * basis[b, q // 2] * stiffness[b, p % 2, q % 2]
 
 
 def decreases(before: BlockGradients, after: BlockGradients, step: tuple[float, float]) -> tuple[float, float] | None:

@@ -15,8 +15,10 @@ import numpy as np
 
 from wafer_viewer.numerics.block_gradients import (
     LOOSE_PX,
+    N_BEND_TERMS,
     BlockGradients,
     agreement_fraction,
+    bend_terms,
     block_gradients,
     decreases,
     lag_errors,
@@ -132,7 +134,7 @@ class SubpixelShift:
     agreeing: fraction of the contrast in blocks that fit on their own; bent_px: deviation of the lags of the outermost
     blocks from that in the middle, and bent_sigmas: its significance; n_blocks: number of blocks; unexplained: fraction
     of the variance within them that the lag leaves; held: unit vectors of the directions that the picture determines,
-    [2, k]; drift, drift_freedom: as in `LagErrors`.
+    [2, k]; drift, drift_freedom: as in `LagErrors`; bend: as of `bend_terms`, NaN if undetermined or aligned roughly.
     """
 
     lag: Lag
@@ -147,6 +149,7 @@ class SubpixelShift:
     held: Numbers
     drift: Numbers
     drift_freedom: float
+    bend: Numbers
 
 
 def held_directions(covariance: Numbers) -> Numbers:
@@ -191,7 +194,11 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
     elif not roughly and not _is_clear(pulls, noise, surface.held):
         stiffness = _hessian_by_differences(first, second, lag, side)
     alike, errors = pulls.correlation, lag_errors(pulls, stiffness, surface.held)
-    bent_px, bent_sigmas = shift_gradient(pulls) if surface.held.shape[1] == 2 else (0.0, 0.0)
+    is_held = surface.held.shape[1] == 2
+    bent_px, bent_sigmas = shift_gradient(pulls) if is_held else (0.0, 0.0)
+    bend = bend_terms(pulls) if is_held and not roughly else np.full((2, N_BEND_TERMS), np.nan)
+    if np.isfinite(bend).all():
+        bend = bend / np.tile(_real_fractions(first, second, lag, side, pulls), N_BEND_TERMS // 2)
     return SubpixelShift(
         lag,
         errors.covariance,
@@ -205,6 +212,7 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
         held_directions(errors.covariance),
         errors.drift,
         errors.freedom,
+        bend,
     )
 
 
@@ -324,6 +332,18 @@ def _change_along(first: RegisteredImage, second: RegisteredImage, lag: Lag, sid
     ahead = _gradients(first, second, (lag[0] + down, lag[1] + right), side).total_pull
     behind = _gradients(first, second, (lag[0] - down, lag[1] - right), side).total_pull
     return (behind - ahead) / (2 * ALIGNMENT.probe_px)
+
+
+def _real_fractions(
+    first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, pulls: BlockGradients
+) -> Numbers:
+    """Return the real fractions of the Hessian along rows and columns, [2]; its part of noise is the same in both."""
+    _, strongest, _, along = _principal_axes(pulls.total_stiffness)
+    step = (ALIGNMENT.probe_px * along).tolist()
+    before = _gradients(first, second, (lag[0] - step[0], lag[1] - step[1]), side)
+    of_noise = strongest * (1 - _hessian_fraction(before, pulls, (step[0], step[1])))
+    own = np.maximum(np.diag(pulls.total_stiffness), 1e-30)
+    return np.clip(1 - of_noise / own, ALIGNMENT.least_hessian_fraction, 1.0)
 
 
 def _symmetric(matrix: Numbers) -> Numbers:

@@ -21,6 +21,7 @@ from wafer_viewer.reconstruct.pose_graph.lateral_poses import CameraAxes, Positi
 from wafer_viewer.reconstruct.registration.misplaced_fields import misplaced_fields
 from wafer_viewer.reconstruct.registration.overlap_strips import neighbours
 from wafer_viewer.reconstruct.registration.pair_registration import look_again, with_pooled_drift
+from wafer_viewer.reconstruct.registration.shared_bend import SharedBend
 from wafer_viewer.reconstruct.registration.swap_search import (
     NO_MISFITS,
     Misfits,
@@ -127,14 +128,19 @@ def settle_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Regis
     that were lost are measured where the solved positions expect them. Fields that fit no neighbour are excluded.
     """
     pairs = neighbours(fields.outlines)
-    settled = _choose_and_measure(fields, fields.previous.shifts(pairs, observers.register), observers)
+    registered = fields.previous.shifts(pairs, observers.register)
+    bend = SharedBend.of(registered, fields.outlines)
+    refine = observers.refine
+    observers = dataclasses.replace(observers, refine=lambda some, at_um: bend.judged(refine(some, at_um)))
+    settled = _choose_and_measure(fields, bend.judged(registered), observers)
     misfits = _find_misfits(fields, settled, observers)
     if misfits.fields and settled.shifts.repeats.any():
         settled = _choose_and_measure(fields, _rejected(settled.shifts, misfits.fields), observers)
     left_out = settled.misplaced(len(fields.outlines))
     left_out[list(misfits.fields)] = True
     shifts = _rejected(settled.shifts, misfits.fields)
-    return RegisteredOverlaps(pairs, shifts, left_out, misfits, settled.notes, settled.period_odds_nats)
+    notes = bend.notes(shifts) + settled.notes
+    return RegisteredOverlaps(pairs, shifts, left_out, misfits, notes, settled.period_odds_nats)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +193,8 @@ def _look_again_until_settled(fields: FieldsToPlace, shifts: Shifts, observers: 
         joined = found.group[shifts.first] == found.group[shifts.second]
         u_um = np.where(joined, 0.0, np.sqrt(2) * found.stage_error_um)
         before, n = shifts, int(shifts.believed.sum())
-        shifts = look_again(shifts, moved[shifts.second] - moved[shifts.first], u_um, pixel_um, observers.refine)
+        expected_um = moved[shifts.second] - moved[shifts.first] + _offset_um(fields, shifts)
+        shifts = look_again(shifts, expected_um, u_um, pixel_um, observers.refine)
         if int(shifts.believed.sum()) == n:
             return before
     return shifts
@@ -223,6 +230,12 @@ def _rejected(shifts: Shifts, some: Sequence[int] | NDArray[np.int32]) -> Shifts
     )
 
 
+def _offset_um(fields: FieldsToPlace, shifts: Shifts) -> Um:
+    """Return the offset (x, y) of overlaps by the distortion of the lens, [e, 2]."""
+    off_px = SharedBend.of(shifts, fields.outlines).offset_px(shifts)
+    return off_px[:, ::-1] * (1, -1) * fields.outlines[0].pixel_um
+
+
 def solve_lateral(fields: FieldsToPlace, shifts: Shifts) -> Positions:
     """Solve for the lateral positions of the fields and the rotation and scale of the camera."""
     x_um, y_um = fields.centres_um
@@ -237,4 +250,5 @@ def solve_lateral(fields: FieldsToPlace, shifts: Shifts) -> Positions:
         camera=fields.form and CameraAxes.of(fields.form),
         assumed=fields.assumed,
         calibration=fields.calibration,
+        offset_um=_offset_um(fields, shifts),
     )

@@ -12,6 +12,7 @@ from wafer_viewer.model.surface.field_poses import (
     Shifts,
     no_candidates,
     no_seams,
+    unknown_bend,
     unknown_drift,
 )
 from wafer_viewer.reconstruct.pose_graph.lateral_poses import PreviousSolution, freeze_unmoved_fields
@@ -30,6 +31,7 @@ def _shifts(pairs: np.ndarray) -> Shifts:
         *(zero, zero, zero, share, code, code, share, zero, zero, zero),
         no_candidates(n),
         unknown_drift(n),
+        unknown_bend(n),
     )
 
 

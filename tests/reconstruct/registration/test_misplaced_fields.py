@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.overlapping_tiles import Sample, a_field, a_sample, with_heights
-from wafer_viewer.model.surface.field_poses import RejectionReason, Shifts, no_candidates, unknown_drift
+from wafer_viewer.model.surface.field_poses import RejectionReason, Shifts, no_candidates, unknown_bend, unknown_drift
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.registration.misplaced_fields import (
     TURNS,
@@ -42,6 +42,7 @@ def observations(edges: list[tuple[int, int, RejectionReason]]) -> Shifts:
         covariance_um2=zeros,
         candidates=no_candidates(len(zeros)),
         drift=unknown_drift(len(zeros)),
+        bend=unknown_bend(len(zeros)),
     )
 
 

@@ -56,6 +56,8 @@ N_CANDIDATE = 6
 """Length of a row of `Shifts.candidates`."""
 N_DRIFT = 5
 """Length of a row of `Shifts.drift`."""
+N_BEND = 13
+"""Length of a row of `Shifts.bend`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +72,10 @@ class Shifts:
     its precision (xx, xy, yy in 1/um^2) and its misfit above the best one, in nats; NaN in unused rows; drift: [n, 5],
     squares of u_x_um and u_y_um without drift, variances along x and y of the shifts of parts of the overlap against
     each other, less that of noise (um^2), and the degrees of freedom of these; NaN where they are unknown.
+    bend: [n, 13], change of the offset, down and right, from the middle of an overlap to its ends along rows, the same
+    along columns, and its curvature along the longer side (coefficient of the Legendre polynomial of second degree);
+    then the standard uncertainties of these six, all in pixels, and the `RejectionReason` besides the bend; NaN where
+    they are unknown.
     """
 
     first: NDArray[np.int32]
@@ -87,6 +93,7 @@ class Shifts:
     covariance_um2: Numbers
     candidates: NDArray[np.float32]
     drift: Numbers
+    bend: Numbers
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
@@ -260,7 +267,7 @@ def no_shifts() -> Shifts:
     integers, floats = np.zeros(0, np.int32), np.zeros(0)
     code, share = np.zeros(0, np.uint8), np.zeros(0, np.float32)
     measured = (floats, floats, floats, floats, share, code, code, share, floats, floats, floats)
-    return Shifts(integers, integers, *measured, no_candidates(0), unknown_drift(0))
+    return Shifts(integers, integers, *measured, no_candidates(0), unknown_drift(0), unknown_bend(0))
 
 
 def no_candidates(n: int) -> NDArray[np.float32]:
@@ -271,6 +278,11 @@ def no_candidates(n: int) -> NDArray[np.float32]:
 def unknown_drift(n: int) -> Numbers:
     """Return `Shifts.drift` of n overlaps whose drift is unknown."""
     return np.full((n, N_DRIFT), np.nan)
+
+
+def unknown_bend(n: int) -> Numbers:
+    """Return `Shifts.bend` of n overlaps whose bend is unknown."""
+    return np.full((n, N_BEND), np.nan)
 
 
 def no_seams() -> HeightOffsets:

@@ -350,6 +350,7 @@ def solve_positions(
     camera: CameraAxes | None = None,
     assumed: bool = False,
     calibration: Calibration | None = None,
+    offset_um: Numbers | None = None,
 ) -> Positions:
     """Estimate the most probable positions of fields [n] from stage positions and overlap shifts.
 
@@ -362,10 +363,12 @@ def solve_positions(
     stage_error_um: standard deviation along an axis; ``auto`` estimates it. fixed: bool [n], fields that stay at their
     position in `start` (x, y). camera: from an earlier solution, not estimated again. assumed: the stage positions were
     made up, so that rotation and scale are those of the assumption: applied, never noted. calibration: of the pixel
-    size, to which a note refers. Raises ComputeError when the overlaps contradict the pixel size.
+    size, to which a note refers. offset_um: part of the shifts that is no displacement of the fields, [e, 2]. Raises
+    ComputeError when the overlaps contradict the pixel size.
     """
     fixed = np.zeros(len(stage_x_um), np.bool_) if fixed is None else fixed
-    task = _Task(stage_x_um, stage_y_um, shifts, pixel_um, stage_error_um, fixed, start)
+    offset_um = np.zeros((len(shifts.first), 2)) if offset_um is None else offset_um
+    task = _Task(stage_x_um, stage_y_um, shifts, offset_um, pixel_um, stage_error_um, fixed, start)
     if camera is not None:
         return task.positions(*task.settled(camera), camera, camera)
     unturned = task.unturned()
@@ -384,6 +387,7 @@ class _Task:
     stage_x_um: Numbers
     stage_y_um: Numbers
     shifts: Shifts
+    offset_um: Numbers
     pixel_um: float
     stage_error_um: float | Literal["auto"]
     fixed: Flags
@@ -448,7 +452,7 @@ class _Task:
         i, j = self.shifts.first, self.shifts.second
         off_x, off_y = self.stage_x_um - x_um, self.stage_y_um - y_um
         shifts = (self.shifts.x_um + off_x[j] - off_x[i], self.shifts.y_um + off_y[j] - off_y[i])
-        return np.nan_to_num(np.column_stack(shifts), posinf=0.0, neginf=0.0)
+        return np.nan_to_num(np.column_stack(shifts) - self.offset_um, posinf=0.0, neginf=0.0)
 
     def _information(self) -> Numbers:
         """Return the inverse covariances [e, 2, 2] of the overlaps, without directions that nothing determines."""

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.field_poses import (
+    N_BEND,
     N_CANDIDATE,
     N_DRIFT,
     Numbers,
@@ -36,6 +37,7 @@ from wafer_viewer.model.surface.field_poses import (
     Shifts,
     padded_candidates,
     selected,
+    unknown_bend,
     unknown_drift,
 )
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -219,6 +221,7 @@ class PairShift:
     doubt: RejectionReason
     candidates: NDArray[np.float32]
     drift: NDArray[np.float64]
+    bend: NDArray[np.float64]
 
 
 def register(
@@ -331,6 +334,7 @@ def _pair_shift(found: Match, pixel_um: float, by: ObservationSource) -> PairShi
         doubt=found.doubt,
         candidates=_listed(found.candidates, pixel_um),
         drift=_drift(found, pixel_um) if by is ObservationSource.PICTURE else unknown_drift(1)[0],
+        bend=np.append(found.bend, found.unbent) if by is ObservationSource.PICTURE else unknown_bend(1)[0],
     )
 
 
@@ -354,8 +358,8 @@ def _listed(candidates: Sequence[Candidate], pixel_um: float) -> NDArray[np.floa
 
 
 def _by_stage(doubt: RejectionReason) -> PairShift:
-    nothing, unknown = np.zeros((0, N_CANDIDATE), np.float32), unknown_drift(1)[0]
-    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, 0.0, ObservationSource.STAGE, doubt, nothing, unknown)
+    unknown = np.zeros((0, N_CANDIDATE), np.float32), unknown_drift(1)[0], unknown_bend(1)[0]
+    return PairShift(0.0, 0.0, float("inf"), float("inf"), 0.0, 0.0, ObservationSource.STAGE, doubt, *unknown)
 
 
 def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
@@ -377,5 +381,6 @@ def _table(pairs: NDArray[np.int32], found: Sequence[PairShift]) -> Shifts:
         residual_y_um=np.zeros(len(pairs)),
         candidates=padded_candidates([f.candidates for f in found]),
         drift=np.array([f.drift for f in found], np.float64).reshape(-1, N_DRIFT),
+        bend=np.array([f.bend for f in found], np.float64).reshape(-1, N_BEND),
     )
     return with_own_drift(shifts)  # the same bits as those that are restored after a pooling

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.numerics.block_gradients import N_BEND_TERMS
 from wafer_viewer.numerics.cross_correlation import Likeness, contrast, normalised_cross_correlation
 from wafer_viewer.numerics.subpixel_registration import Lag, RegisteredImage, SubpixelShift, align, held_directions
 from wafer_viewer.reconstruct.registration.overlap_strips import OverlapWindow, Read, binned_valid
@@ -163,7 +164,7 @@ class Match:
     """Deviation of the second field from its stage position, (rows, cols) in px, with its covariance [2, 2].
 
     candidates: all deviations at which a repeating pattern fits, none where only one fits; drift, drift_freedom: as in
-    `LagErrors`.
+    `LagErrors`; bend: as in `SubpixelShift`; unbent: the doubt if the bend did not count.
     """
 
     off_px: Lag
@@ -173,6 +174,8 @@ class Match:
     candidates: tuple[Candidate, ...] = ()
     drift: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
     drift_freedom: float = 0.0
+    bend: NDArray[np.float64] = field(default_factory=lambda: np.full((2, N_BEND_TERMS), np.nan))
+    unbent: RejectionReason = RejectionReason.UNLIKE
 
     @property
     def u_px(self) -> Lag:
@@ -386,6 +389,7 @@ def _scaled(fit: SubpixelShift, factor: int) -> SubpixelShift:
         held=held_directions(known),
         bent_px=fit.bent_px * factor,
         drift=fit.drift * factor**2,
+        bend=fit.bend * factor,
         n_pixels=fit.n_pixels * factor**2,
         unexplained=fit.unexplained + MATCH_ACCEPTANCE.never_explained * factor**4,
     )
@@ -429,7 +433,8 @@ def _judged(
     """
     best = fits[0]
     found = [_candidate(fit, best, window) for fit in fits]
-    doubt = _doubt(fits, by_chance, max(map(abs, found[0].off_px)) > reach_px)
+    unbent = _doubt(fits, by_chance, max(map(abs, found[0].off_px)) > reach_px)
+    doubt = RejectionReason.UNLIKE if is_bent(best.bent_px, best.bent_sigmas) else unbent
     told = [one for one in found if np.isfinite(one.covariance).all()]
     if told:
         usual_nats = float(np.median([one.misfit_nats for one in told]))
@@ -439,8 +444,10 @@ def _judged(
             told.append(replace(place, misfit_nats=usual_nats))
     rivals = tuple(sorted(told, key=lambda one: float(np.hypot(*one.off_px)))[: MATCH_SEARCH.stored])
     is_open = doubt is RejectionReason.AMBIGUOUS and len(rivals) > 1
-    candidates, drift = rivals if is_open else (), (best.drift, best.drift_freedom)
-    return Match(found[0].off_px, found[0].covariance, best.correlation, doubt, candidates, *drift)
+    candidates = rivals if is_open else ()
+    off_px, covariance = found[0].off_px, found[0].covariance
+    spread = best.drift, best.drift_freedom, best.bend
+    return Match(off_px, covariance, best.correlation, doubt, candidates, *spread, unbent)
 
 
 def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -> Candidate:
@@ -453,14 +460,19 @@ def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -
     return Candidate((float(off[0]), float(off[1])), covariance, misfit_nats)
 
 
-def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
-    best = fits[0]
-    turned = (
-        best.bent_px > MATCH_ACCEPTANCE.most_bent_px
-        and best.bent_sigmas > MATCH_ACCEPTANCE.bent_sigmas
-        and best.bent_px * best.bent_sigmas > MATCH_ACCEPTANCE.surely_bent
+def is_bent(bent_px: float, sigmas: float) -> bool:
+    """Return whether a bend indicates rotated content."""
+    return (
+        bent_px > MATCH_ACCEPTANCE.most_bent_px
+        and sigmas > MATCH_ACCEPTANCE.bent_sigmas
+        and bent_px * sigmas > MATCH_ACCEPTANCE.surely_bent
     )
-    if turned or best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
+
+
+def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:
+    """Return the doubt about the best fit, apart from its bend."""
+    best = fits[0]
+    if best.agreeing < MATCH_ACCEPTANCE.least_agreeing:
         return RejectionReason.UNLIKE
     is_held = _largest_variance(best) < MATCH_ACCEPTANCE.most_u_px**2
     if not is_held or len(fits) > 1 or (by_chance and best.correlation < MATCH_ACCEPTANCE.surely_like):

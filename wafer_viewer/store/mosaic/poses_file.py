@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts
+from wafer_viewer.model.surface.field_poses import Form, HeightOffsets, Poses, Shifts, unknown_bend
 from wafer_viewer.store.io.archives import Archive, open_archive
 from wafer_viewer.store.io.atomic_files import atomic_write
 from wafer_viewer.store.io.checksums import remedy, seal_archive
@@ -79,9 +79,11 @@ def _array(value: Any) -> Any:
 def _built(kind: type[Any], archive: Archive, prefix: str, **given: Any) -> Any:
     """Build a table from its arrays, with the declared types; terms that an older form lacks have their default."""
     values = dict(given)
+    if kind is Shifts and f"{prefix}bend" not in archive:  # of an older version
+        values["bend"] = unknown_bend(len(archive.array(f"{prefix}first")))
     for item in dataclasses.fields(kind):
         key = prefix + item.name
-        if item.name not in given and (key in archive or kind is not Form):
+        if item.name not in values and (key in archive or kind is not Form):
             values[item.name] = _value(archive.array(key), str(item.type))
     return kind(**values)
 
