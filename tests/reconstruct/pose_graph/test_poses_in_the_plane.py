@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -174,12 +175,18 @@ def test_axes_of_a_stage_that_are_not_alike_are_found():
         u = getattr(found.camera, f"u_{name}")
         assert getattr(found.camera, name) == pytest.approx(value, abs=3 * u)
         assert 1e-5 < u < 4e-5
-    (note,) = found.notes
-    assert "fields 0.09" in note
-    assert "further apart along x and 0.05" in note
-    assert note.endswith("mrad off square: calibrate stage and pixel size.")
+    scales, angle = found.notes
+    assert re.search(r"lie 0\.09\d% further apart along x and 0\.05\d% further apart along y than by the", scales)
+    assert scales.endswith(": calibrate the stage and the pixel size.")
+    assert re.search(r"the axes of the stage are 0\.3\d mrad off square .*: calibrate the stage\.", angle)
     assert rms(off_px(found, true)) <= 0.1
     assert CameraAxes.of(found.camera.in_form(Form())) == found.camera
+
+
+def test_skew_alone_is_no_scale():
+    shifts, _ = observations(grid(12, 12), 1010, stage_px=1.0, skew=2e-4)
+    (note,) = solved(grid(12, 12), shifts).notes
+    assert re.match(r"The overlaps say the axes of the stage are 0\.(3|4)\d mrad off square", note)
 
 
 @pytest.mark.parametrize("rows", [2, 3, 4])
@@ -194,7 +201,7 @@ def test_scale_that_contradicts_a_calibration_is_told_with_it():
     shifts, _ = observations(WHOLE, 1009, scale=2e-3)
     sure, unsure = (Calibration(u_pixel_um=u * PIXEL_UM, **known) for u in (5e-5, 1e-3))
     (note,) = solved(WHOLE, shifts, calibration=sure).notes
-    assert "not 0.46729 um: the calibration of 2026-03-01 gives the pixel size within 0.0001 (k = 2, relative)" in note
+    assert "not 0.46729 um, but the calibration of 2026-03-01 gives the pixel size within 0.0001 (k = 2" in note
     (note,) = solved(WHOLE, shifts, calibration=unsure).notes
     assert note.endswith("not 0.46729 um: calibrate the pixel size.")
 

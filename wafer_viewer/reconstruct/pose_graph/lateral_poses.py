@@ -169,17 +169,15 @@ SIGMA = 0.05
 
 LEAST_OVERLAPS = 4
 """With fewer overlaps, a single wrong one looks like a wrong pixel size."""
+LEAST_FOR_AXES = 12
+"""With fewer overlaps, one looks like axes of the stage that are not alike."""
 
 _SIGNIFICANT = 4.0
 """Smallest rotation or scale that is noted, in standard uncertainties."""
 _WORTH_PX = 0.1
 """Smallest shift of a neighbour by rotation or scale that is noted, in pixels."""
-_TINY_UM = 1e-9
-"""Distance of fields that have no neighbours."""
 _WRONG_SCALE = 0.03
 """Largest error of a given pixel size (fraction); a larger one cannot be right."""
-LEAST_FOR_AXES = 12
-"""The same for axes of the stage that are not alike."""
 _AXES = ("scale", "turn", "stretch", "skew")
 """Components of the axes, in the order of the shared unknowns."""
 _ALL = len(_AXES) + 2
@@ -255,13 +253,10 @@ class CameraAxes:
 
         Scale and turn are where they shift neighbours, stretch and skew where they shift the outermost fields.
         """
-        least = {"scale": _WORTH_PX / reach.neighbour_px, "turn": _WORTH_PX / reach.neighbour_px}
         values = {name: (abs(getattr(self, name)), getattr(self, f"u_{name}")) for name in _AXES}
-        return {
-            name
-            for name, (value, u) in values.items()
-            if value > max(_SIGNIFICANT * u, least.get(name, _WORTH_PX / reach.rim_px))
-        }
+        arms_px = (reach.neighbour_px, reach.neighbour_px, reach.rim_px, reach.rim_px)
+        shown = zip(values.items(), arms_px, strict=True)
+        return {name for (name, (value, u)), px in shown if value > _SIGNIFICANT * u and value * px > _WORTH_PX}
 
     def notes(self, reach: Reach, pixel_um: float, calibration: Calibration | None = None) -> tuple[str, ...]:
         """Return operator notes on the significant components.
@@ -270,38 +265,41 @@ class CameraAxes:
         """
         notes: list[str] = []
         significant = self.significant(reach)
-        known = "" if calibration is None else self._contradicted(calibration)
+        doubted = self._doubted(calibration) if calibration and significant & {"scale", "stretch"} else ""
         if "turn" in significant:
             turned = f"{abs(self.turn) * 1e3:.2f} mrad {'anticlockwise' if self.turn > 0 else 'clockwise'}"
             notes.append(f"The camera is turned by {turned} against the stage: calibrate its angle.")
-        if significant & {"stretch", "skew"}:
-            notes.append(f"{self._of_axes('skew' in significant)}: {known or 'calibrate stage and pixel size'}.")
+        if not self.is_square and significant & {"scale", "stretch"}:
+            notes.append(f"{self._scales}{doubted or ': calibrate the stage and the pixel size.'}")
+        if "skew" in significant:
+            angle = f"{2e3 * abs(self.skew):.2f} mrad off square (U = {4e3 * self.u_skew:.1g} mrad, k = 2)"
+            notes.append(f"The overlaps say the axes of the stage are {angle}: calibrate the stage.")
         if "scale" in significant:
             found_um = pixel_um / (1 + self.scale)
             observed = f"The overlaps say a pixel is {found_um:.5g} um, not {pixel_um:.5g} um"
             if abs(self.scale) > _WRONG_SCALE:
                 raise ComputeError(f"{observed}: give the pixel size of this objective and camera.")
             if self.is_square:
-                notes.append(f"{observed}: {known or 'calibrate the pixel size'}.")
+                notes.append(f"{observed}{doubted or ': calibrate the pixel size.'}")
         return tuple(notes)
 
-    def _contradicted(self, calibration: Calibration) -> str:
-        """Return why a scale contradicts a calibration, and the mend; nothing where it does not."""
+    def _doubted(self, calibration: Calibration) -> str:
+        """Return the end of a sentence on a scale that contradicts a calibration; nothing where it does not."""
         u = calibration.u_pixel_um / calibration.pixel_um
         if abs(self.scale) + abs(self.stretch) <= _SIGNIFICANT * u:
             return ""
         return (
-            f"the calibration of {calibration.made} gives the pixel size within {2 * u:.2g} (k = 2, relative), so that "
-            "the stage or the lens is off, or it no longer holds: check it"
+            f", but the calibration of {calibration.made} gives the pixel size within {2 * u:.2g} (k = 2, relative): "
+            "check the stage and the lens, or calibrate again."
         )
 
-    def _of_axes(self, is_skew: bool) -> str:
-        """Return a clause on the scale of each axis, and on their angle."""
+    @property
+    def _scales(self) -> str:
+        """Beginning of a sentence on the scale of each axis of the stage."""
         scales = {"x": self.scale + self.stretch, "y": self.scale - self.stretch}
         x, y = (f"{abs(s):.3%} {'further apart' if s > 0 else 'closer'} along {axis}" for axis, s in scales.items())
-        angle = f", and its axes {2 * abs(self.skew) * 1e3:.2f} mrad off square" if is_skew else ""
         u = 2 * float(np.hypot(self.u_scale, self.u_stretch))
-        return f"The overlaps have fields {x} and {y} than the stage (U = {u:.3%}, k = 2){angle}"
+        return f"The overlaps say fields lie {x} and {y} than by the stage (U = {u:.3%}, k = 2)"
 
 
 def shared_by_all(x_um: Numbers, y_um: Numbers) -> Numbers:
@@ -406,12 +404,12 @@ class _Task:
         return ~own_doubt & (np.isfinite(self.shifts.u_x_um) | np.isfinite(self.shifts.u_y_um))
 
     def reach(self, camera: CameraAxes) -> Reach:
-        """Return the distance between overlapping fields and that of the outermost one; tiny without any."""
+        """Return the distance between overlapping fields, 0 without any, and that of the outermost field."""
         i, j = self.shifts.first[self.usable], self.shifts.second[self.usable]
         distance_um = np.hypot(self.stage_x_um[j] - self.stage_x_um[i], self.stage_y_um[j] - self.stage_y_um[i])
         rim_um = np.hypot(*camera.arms(self.stage_x_um, self.stage_y_um)).max(initial=0.0)
         neighbour_um = float(np.median(distance_um)) if len(distance_um) else 0.0
-        return Reach(*(max(um, _TINY_UM) / self.pixel_um for um in (neighbour_um, rim_um)))
+        return Reach(neighbour_um / self.pixel_um, float(rim_um) / self.pixel_um)
 
     def settled(
         self, camera: CameraAxes, m: int = 0, like: RobustSolution | None = None
