@@ -44,11 +44,12 @@ def test_the_surface_keeps_the_stage_position_of_its_field(make_stack: MakeStack
 
 
 def test_the_result_says_how_it_was_made(make_stack: MakeStack, plane_um: NDArray) -> None:
-    stack = make_stack(plane_um, np.arange(20.0, 104.0, 4.0), simulated=True, checksum="abc")
+    stack = make_stack(plane_um, np.arange(20.0, 104.0, 4.0), simulated=True, checksum="abc", positions_assumed=True)
     made = reconstruct(stack).provenance
     assert not made.recipe.heights_have_auto
     assert made.recipe == settled_recipe(stack)
     assert made.simulated
+    assert made.positions_assumed
     assert (made.input_checksum, made.software_version, made.z_step_um) == ("abc", __version__, 4.0)
 
 

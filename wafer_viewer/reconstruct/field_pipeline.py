@@ -308,6 +308,7 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
             simulated=stack.simulated,
             z_step_um=field.frames.step_um,
             frame_health=health,
+            positions_assumed=stack.positions_assumed,
             notes=(*stack.notes, *field.frames.notes, *field.tuned.notes, *jitter_note),
         ),
         u_um=uncertainty(field, corrected, cleaned, health),

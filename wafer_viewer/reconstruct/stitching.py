@@ -84,7 +84,8 @@ def stitch(
     Notes
     -----
     Overlaps are registered by masked correlation of the images [1]_, and by heights where the images are blank. Bad
-    overlaps are rejected by graduated non-convexity [2]_.
+    overlaps are rejected by graduated non-convexity [2]_. Positions that an import made up from an assumed overlap tell
+    nothing about the pixel size and the angle of the camera: neither is doubted then.
 
     References
     ----------
@@ -101,6 +102,7 @@ def stitch(
         numbers,
         np.zeros(len(placed), np.int64),
         recipe.stitching,
+        assumed=all(height.provenance.positions_assumed for height in placed),
         calibration=placed[0].provenance.calibration,
     )
     poses = find_poses(listed, _in_memory_observers(placed, recipe.stitching, progress or silent))

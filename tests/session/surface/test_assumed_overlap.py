@@ -11,9 +11,11 @@ import pytest
 from tests.support.plans import plan_without_motion
 from tests.truth.drawn_grids import PIXEL_UM, drawn, made
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep
+from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
+from wafer_viewer.reconstruct.stitching import stitch
 from wafer_viewer.session.surface.stitching_inputs import StitchingInputs
 from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -111,6 +113,18 @@ def test_stated_positions_are_not_estimated(tmp_path):
     moved = replace(record.plan, fields=(*others, replace(last, x_um=last.x_um + 0.01)))
     assert replace(record, plan=moved).assumed_overlap is None
     assert replace(record, imported_from="").assumed_overlap is None
+
+
+def test_pixel_size_is_not_blamed_in_memory(tmp_path):
+    path, grid = imported(tmp_path / "a.wafer", 0.12, 0.2)
+    data = Dataset.open(path)
+    stated = [data.result(RESULT).surface(field) for field in data.fields]
+    with pytest.raises(ComputeError, match="a pixel is"):
+        stitch(stated)
+    assumed = [dataclasses.replace(h, provenance=replace(h.provenance, positions_assumed=True)) for h in stated]
+    poses = stitch(assumed).poses
+    assert not poses.notes
+    assert off_px(poses, grid) < 0.1
 
 
 def test_overlap_is_not_guessed_from_a_pattern(tmp_path):

@@ -148,6 +148,7 @@ def test_a_grid_of_fields_is_identified_by_the_names(tmp_path):
     assert [f.x_um for f in data.fields] == pytest.approx([0.75 * 8 * (c - 1) for _, c in cells])
     assert [f.y_um for f in data.fields] == pytest.approx([-0.75 * 6 * (r - 1) for r, _ in cells])
     assert data.scan.assumed_overlap == 0.25
+    assert data.stack(5).positions_assumed
     np.testing.assert_array_equal(data.stack(5).images[3], grey([2, 10, 3], dtype=np.uint16))
     assert data.check().ok
 

@@ -61,7 +61,8 @@ class FieldStack:
     exposure_z_um: z [k] of each exposure's own images, `images` first, where they differ from z_um; else empty;
     depth_of_field_um: of the objective; 0 if unknown;
     shading: of the camera, None without a flat field; the images are as the camera gave them;
-    notes: one sentence each on what was found in the files of a stack that was taken elsewhere.
+    notes: one sentence each on what was found in the files of a stack that was taken elsewhere;
+    positions_assumed: the position of the field was made up by an import, from an assumed overlap.
 
     Raises DatasetError when the shapes disagree or fewer than three frames are present.
     """
@@ -81,6 +82,7 @@ class FieldStack:
     exposure_z_um: tuple[NDArray[np.float64], ...] = ()
     shading: ImageShading | None = None
     notes: tuple[str, ...] = ()
+    positions_assumed: bool = False
 
     def __post_init__(self) -> None:
         if self.images.ndim != 3 or len(self.z_um) != len(self.images) or len(self.present) != len(self.images):

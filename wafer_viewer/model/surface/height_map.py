@@ -114,7 +114,8 @@ ORIGIN_TITLES: dict[Origin, str] = {
 class Provenance(Spec, frozen=True, kw_only=True):
     """Provenance of a surface: recipe with the values chosen by ``auto``, calibration, version, input, simulation.
 
-    frame_health: uncertainty of heights from the z and the light of the frames.
+    frame_health: uncertainty of heights from the z and the light of the frames; positions_assumed: positions of fields
+    were made up by an import, from an assumed overlap, so that they tell nothing about pixel size and camera.
     """
 
     recipe: Recipe = Recipe()
@@ -124,6 +125,7 @@ class Provenance(Spec, frozen=True, kw_only=True):
     simulated: bool = False
     z_step_um: float = 0.0
     frame_health: FrameHealth = FrameHealth()
+    positions_assumed: bool = False
     notes: tuple[str, ...] = ()
 
 

@@ -318,6 +318,7 @@ class Dataset:
             exposure_z_um=tuple(z_um) if others else (),
             shading=self.shading,
             notes=self.faults if self.scan.imported_from else (),
+            positions_assumed=self.scan.assumed_overlap is not None,
         )
 
     @cached_property
