@@ -139,7 +139,7 @@ def settle_overlaps(fields: FieldsToPlace, observers: OverlapObservers) -> Regis
     left_out = settled.misplaced(len(fields.outlines))
     left_out[list(misfits.fields)] = True
     shifts = _rejected(settled.shifts, misfits.fields)
-    notes = bend.notes(shifts) + settled.notes
+    notes = SharedBend.of(shifts, fields.outlines).notes(shifts, fields.calibration is not None) + settled.notes
     return RegisteredOverlaps(pairs, shifts, left_out, misfits, notes, settled.period_odds_nats)
 
 
@@ -232,7 +232,7 @@ def _rejected(shifts: Shifts, some: Sequence[int] | NDArray[np.int32]) -> Shifts
 
 def _offset_um(fields: FieldsToPlace, shifts: Shifts) -> Um:
     """Return the offset (x, y) of overlaps by the distortion of the lens, [e, 2]."""
-    off_px = SharedBend.of(shifts, fields.outlines).offset_px(shifts)
+    off_px = SharedBend.of(shifts, fields.outlines).offset_px(shifts, fields.calibration is not None)
     return off_px[:, ::-1] * (1, -1) * fields.outlines[0].pixel_um
 
 

@@ -163,6 +163,9 @@ class Calibration(Spec, frozen=True, kw_only=True):
         return None
 
 
+PIXEL_STEP_FRACTION = 0.75
+"""Distance of the fields whose borders a calibration of the pixel size compares, as a fraction of a field."""
+
 WAVELENGTH_UM = 0.55
 """Green light, the default."""
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.surface.field_poses import RejectionReason
 from wafer_viewer.model.surface.height_map import HeightMap
@@ -460,13 +460,11 @@ def _candidate(fit: SubpixelShift, best: SubpixelShift, window: OverlapWindow) -
     return Candidate((float(off[0]), float(off[1])), covariance, misfit_nats)
 
 
-def is_bent(bent_px: float, sigmas: float) -> bool:
-    """Return whether a bend indicates rotated content."""
-    return (
-        bent_px > MATCH_ACCEPTANCE.most_bent_px
-        and sigmas > MATCH_ACCEPTANCE.bent_sigmas
-        and bent_px * sigmas > MATCH_ACCEPTANCE.surely_bent
-    )
+def is_bent(bent_px: ArrayLike, sigmas: ArrayLike) -> NDArray[np.bool_]:
+    """Return whether bends indicate rotated content."""
+    px, significance = np.asarray(bent_px), np.asarray(sigmas)
+    far, sure = px > MATCH_ACCEPTANCE.most_bent_px, significance > MATCH_ACCEPTANCE.bent_sigmas
+    return far & sure & (px * significance > MATCH_ACCEPTANCE.surely_bent)
 
 
 def _doubt(fits: list[SubpixelShift], by_chance: bool, beyond: bool) -> RejectionReason:

@@ -4,11 +4,15 @@ The contents of two fields lie at one offset over their overlap, unless they are
 lens or the scan distorts. That distorts all overlaps of one direction alike: the median of their bends is taken off
 before they are judged.
 
-A distortion of the third order moves a point at p from the axis by k p |p|^2. Two fields d apart that overlap around
-the middle between them then differ, at m from there, by k (2 m (m . d) + d (|m|^2 + |d|^2 / 4)): a curvature along the
-overlap, which shows k, and an offset on average, by which neighbours seem too far apart or too close. The curvature
-needs no stage. Distortions of the second order, and a lens whose axis is off centre, bend overlaps linearly and leave
-the offset alone.
+A distortion of the third order moves a point at p from the middle of a field by k p |p|^2. Two fields d apart that
+overlap around the middle between them then differ, at m from there, by k (2 m (m . d) + d (|m|^2 + |d|^2 / 4)): a
+curvature along the overlap, which shows k, and an offset on average, by which neighbours seem too far apart or too
+close. The curvature needs no stage. Terms of the second order, as of a camera that is tilted, bend overlaps linearly
+and have no offset. A lens whose axis is off the middle has both, and another pixel size in the middle, along each
+direction: overlaps cannot tell that from the scales of the stage.
+
+Without a calibration, the pixel size is that in the middle of a field. A calibrated one compares borders of fields that
+are a fraction of a field apart, so that it holds the offset of these.
 """
 
 from __future__ import annotations
@@ -19,10 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.calibration import PIXEL_STEP_FRACTION
 from wafer_viewer.model.surface.field_poses import Numbers, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import Outline
 from wafer_viewer.numerics.block_sums import REACH
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, student
 from wafer_viewer.reconstruct.registration.picture_match import MATCH_ACCEPTANCE, is_bent
 
 LEAST_ALIKE = 6
@@ -67,11 +72,13 @@ class SharedBend:
         unbent = shifts.bend[:, -1] == RejectionReason.NONE
         sound = np.isin(shifts.doubt, (RejectionReason.NONE, RejectionReason.DISAGREES, RejectionReason.UNLIKE))
         known = sound & unbent & np.isfinite(shifts.bend).all(axis=1)
-        own = sign[:, None] * shifts.bend[:, :6]
-        medians = [_median(own[known & some]) for some in (beside, ~beside)]
+        own, own_u = sign[:, None] * shifts.bend[:, :6], shifts.bend[:, 6:12]
+        medians = [_median(own[known & some], own_u[known & some]) for some in (beside, ~beside)]
         usual, scatter, u = (np.stack([m[k] for m in medians]) for k in range(3))
-        curvature = own[np.arange(len(own)), np.where(beside, 5, 4)] / none._curvature(apart, beside)
-        kappa, u_kappa = _of_lens([_median(curvature[known & some, None]) for some in (beside, ~beside)])
+        along = np.arange(len(own)), np.where(beside, 5, 4)
+        per_px = none._curvature(apart, beside)
+        curved, u_curved = (own[along] / per_px)[:, None], (own_u[along] / per_px)[:, None]
+        kappa, u_kappa = _of_lens([_median(curved[known & some], u_curved[known & some]) for some in (beside, ~beside)])
         shown = np.abs(usual) > SIGNIFICANT * u
         return replace(none, usual=np.where(shown, usual, 0.0), scatter=scatter, kappa=kappa, u_kappa=u_kappa)
 
@@ -91,13 +98,19 @@ class SharedBend:
         across, along = np.where(beside, np.abs(apart[:, ::-1].T), np.abs(apart.T))[0], np.where(beside, *overlap.T)
         return across * along**2 / 6
 
-    def offset_px(self, shifts: Shifts) -> Numbers:
+    def offset_px(self, shifts: Shifts, is_calibrated: bool) -> Numbers:
         """Return the offset (down, right) of overlaps by the distortion, [e, 2]; 0 where it is not taken off."""
         apart, _, _ = self._apart(shifts)
-        area = self._overlap(apart) ** 2 / 12
-        square = area.sum(axis=1) + np.sum(apart**2, axis=1) / 4
-        off = self.kappa * apart * (2 * area + square[:, None])
+        stretch = self._stretch(apart)
+        if is_calibrated:
+            stretch = stretch - np.diag(self._stretch(PIXEL_STEP_FRACTION * np.diag(self.shape))).mean()
+        off = apart * stretch
         return off if np.abs(off).max(initial=0.0) > WORTH_PX else np.zeros_like(off)
+
+    def _stretch(self, apart: Numbers) -> Numbers:
+        """Return by which fraction neighbours seem too far apart, (down, right) [e, 2]."""
+        area = self._overlap(apart) ** 2 / 12
+        return self.kappa * (2 * area + (area.sum(axis=1) + np.sum(apart**2, axis=1) / 4)[:, None])
 
     def judged(self, shifts: Shifts) -> Shifts:
         """Return the shifts, those accepted that are bent only as all of them are."""
@@ -107,38 +120,42 @@ class SharedBend:
             return shifts
         rest = np.abs(sign[:, None] * shifts.bend[:, :6] - self.usual[which])[:, _LINEAR]
         sigma = np.hypot(shifts.bend[:, 6:12], self.scatter[which])[:, _LINEAR]
-        most = np.nan_to_num(rest, nan=np.inf).argmax(axis=1)
-        each = np.arange(len(most))
-        bent = np.array([is_bent(px, px / u) for px, u in zip(rest[each, most], sigma[each, most], strict=True)], bool)
+        most = np.arange(len(rest)), np.nan_to_num(rest, nan=np.inf).argmax(axis=1)
+        bent = is_bent(rest[most], rest[most] / sigma[most])
         mended = (shifts.doubt == RejectionReason.UNLIKE) & ~bent & np.isfinite(shifts.bend).all(axis=1)
         doubt = np.where(mended, np.nan_to_num(shifts.bend[:, -1]), shifts.doubt).astype(np.uint8)
         return replace(shifts, doubt=doubt, weight=(doubt == RejectionReason.NONE).astype(np.float32))
 
-    def notes(self, shifts: Shifts) -> tuple[str, ...]:
+    def notes(self, shifts: Shifts, is_calibrated: bool) -> tuple[str, ...]:
         """Return a sentence on the distortion, if there is any."""
         corner_px = float(np.hypot(*self.shape)) / 2
         share, u = 100 * self.kappa * corner_px**2, 200 * self.u_kappa * corner_px**2
-        off_px, bent_px = np.abs(self.offset_px(shifts)).max(initial=0.0), np.abs(self.usual[:, _LINEAR]).max()
+        bent_px = np.abs(self.usual[:, _LINEAR]).max()
         parts: list[str] = []
-        if off_px:
+        if self.offset_px(shifts, is_calibrated).any():
+            seam_px = np.abs(self.offset_px(shifts, False)).max()
             parts.append(
                 f"corners of a field lie {abs(share):.2g} % ({abs(share) / 100 * corner_px:.2g} px) too far "
-                f"{'out' if share > 0 else 'in'} (U = {u:.1g} %, k = 2), which was taken off the places of fields, not "
-                f"off their images, so that seams are off by up to {off_px:.2g} px"
+                f"{'out' if share > 0 else 'in'} (U = {u:.1g} %, k = 2); places of fields are corrected for it, "
+                f"images are not, and differ by {seam_px:.2g} px in overlaps"
             )
         if bent_px > MATCH_ACCEPTANCE.most_bent_px / 2:
-            parts.append(f"all overlaps are bent alike, by {bent_px:.2g} px at their ends, which was taken off")
+            parts.append(f"overlaps are bent alike, by {bent_px:.2g} px at their ends, and are accepted all the same")
         return (f"The lens or the scan distorts: {'; '.join(parts)}.",) if parts else ()
 
 
-def _median(values: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """Return the median of columns [n, k], their scatter, and the uncertainty of the median; infinite for few."""
+def _median(values: Numbers, u: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Return the median of columns [n, k], their scatter, and the uncertainty of the median; infinite for few.
+
+    u: uncertainties of the values. A few of them may be alike by chance: the scatter is not trusted below these.
+    """
     n, k = values.shape
     if n < LEAST_ALIKE:
         return np.zeros(k), np.zeros(k), np.full(k, np.inf)
     middle = np.median(values, axis=0)
     scatter = MAD_TO_SIGMA * np.median(np.abs(values - middle), axis=0)
-    return middle, scatter, _MEDIAN_U * scatter / np.sqrt(n)
+    widened = _MEDIAN_U * student(n - 1) / 2 / np.sqrt(n)
+    return middle, scatter, widened * np.maximum(scatter, np.median(u, axis=0))
 
 
 def _of_lens(found: Sequence[tuple[Numbers, Numbers, Numbers]]) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.acquire.commanded_frames import TakeFrame, frames_at_places
 from wafer_viewer.calibrate.image_geometry import LEAST_STEPS, Estimate, PixelScale, StageLine, pixel_scale
 from wafer_viewer.calibrate.trigger_delay import FocusSweepCurve, SweepPair, curve_shift_um, delay_error, sharpness
-from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import PIXEL_STEP_FRACTION, Calibration
 from wafer_viewer.model.acquisition.characteristics import CalibrationResult, Characteristic
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
@@ -60,7 +60,7 @@ class PixelProcedure:
     site: CalibrationSite = CalibrationSite()
     n_lines: int = 4
     length_um: float = 5_000.0
-    step_fraction: float = 0.75
+    step_fraction: float = PIXEL_STEP_FRACTION
     spread_um: float = 10_000.0
     u_stage_fraction: float = 1e-5
 
