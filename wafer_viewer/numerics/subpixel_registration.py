@@ -197,8 +197,8 @@ def align(first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, 
     is_held = surface.held.shape[1] == 2
     bent_px, bent_sigmas = shift_gradient(pulls) if is_held else (0.0, 0.0)
     bend = bend_terms(pulls) if is_held and not roughly else np.full((2, N_BEND_TERMS), np.nan)
-    if np.isfinite(bend).all():
-        bend = bend / np.tile(_real_fractions(first, second, lag, side, pulls), N_BEND_TERMS // 2)
+    of_picture = 1 - _noise_stiffness(pulls, noise) / np.maximum(np.diag(pulls.total_stiffness), 1e-30)
+    bend = bend / np.tile(np.clip(of_picture, ALIGNMENT.least_hessian_fraction, 1.0), N_BEND_TERMS // 2)
     return SubpixelShift(
         lag,
         errors.covariance,
@@ -332,18 +332,6 @@ def _change_along(first: RegisteredImage, second: RegisteredImage, lag: Lag, sid
     ahead = _gradients(first, second, (lag[0] + down, lag[1] + right), side).total_pull
     behind = _gradients(first, second, (lag[0] - down, lag[1] - right), side).total_pull
     return (behind - ahead) / (2 * ALIGNMENT.probe_px)
-
-
-def _real_fractions(
-    first: RegisteredImage, second: RegisteredImage, lag: Lag, side: int, pulls: BlockGradients
-) -> Numbers:
-    """Return the real fractions of the Hessian along rows and columns, [2]; its part of noise is the same in both."""
-    _, strongest, _, along = _principal_axes(pulls.total_stiffness)
-    step = (ALIGNMENT.probe_px * along).tolist()
-    before = _gradients(first, second, (lag[0] - step[0], lag[1] - step[1]), side)
-    of_noise = strongest * (1 - _hessian_fraction(before, pulls, (step[0], step[1])))
-    own = np.maximum(np.diag(pulls.total_stiffness), 1e-30)
-    return np.clip(1 - of_noise / own, ALIGNMENT.least_hessian_fraction, 1.0)
 
 
 def _symmetric(matrix: Numbers) -> Numbers:
