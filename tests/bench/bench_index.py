@@ -90,7 +90,7 @@ def as_new(read: Callable[[Path], T], path: Path) -> T:
 
 def map_of(shown: Snapshot, view: View) -> None:
     """Draw the map of the fields."""
-    gui: Any = SimpleNamespace(add_html=lambda content: SimpleNamespace(content=content))
+    gui: Any = SimpleNamespace(add_html=lambda content, order=None: SimpleNamespace(content=content))
     FieldMap(gui).show(shown, view)
 
 

@@ -47,7 +47,7 @@ class Reviewer:
     def add_folder(self, *_, **__):
         return MagicMock(visible=False)
 
-    def add_html(self, content: str):
+    def add_html(self, content: str, order: float | None = None):
         self.made.append(SimpleNamespace(content=content))
         return self.made[-1]
 

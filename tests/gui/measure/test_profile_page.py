@@ -9,9 +9,10 @@ import pytest
 
 from tests.support.made_up_sections import hill, section_of
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
-from wafer_viewer.gui.measure.profile_views import CursorMove, LineVerbs, parse_cursor_event, parse_drag
+from wafer_viewer.gui.measure.profile_dock import CursorMove, parse_cursor_event, parse_drag
 from wafer_viewer.gui.presenters.measurement import head
 from wafer_viewer.gui.state.view_state import PlotView, View, changed, with_cursor
+from wafer_viewer.gui.steps.profiles import LineCommands
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.sections import Gap, OtherSurface, Section, column_line, row_line
 from wafer_viewer.model.region import Region
@@ -106,7 +107,7 @@ def test_where_another_surface_has_no_heights_the_page_says_so(page):
     curves = LiveProfiles(page)
     measured(page, curves)
     assert curves.problems == ("after has no heights along line A.",)
-    assert curves.answer.finding is not None
+    assert curves.answer.value is not None
     html = head(curves.sections, curves.problems, 2, 0, None, zoomed=False)
     assert "after has no heights along line A." in html
 
@@ -122,7 +123,7 @@ def test_nothing_is_measured_while_no_profile_is_looked_at(page):
 
 
 def test_a_cut_goes_through_what_is_looked_at_and_keeps_the_width(page):
-    verbs = LineVerbs(page)
+    verbs = LineCommands(page)
     verbs.cut("row")
     assert page.view.lines == (row_line(LATTICE, 60, 2.0), LINES[1])
     page.change(line=1)
@@ -132,12 +133,12 @@ def test_a_cut_goes_through_what_is_looked_at_and_keeps_the_width(page):
 
 def test_a_cut_beside_the_surface_goes_through_the_middle_of_the_line():
     page = Page(View(step="measure", tool="profile", lines=LINES), look_at_mm=(9.0, 9.0, 0.0))
-    LineVerbs(page).cut("row")
+    LineCommands(page).cut("row")
     assert page.view.lines[0] == row_line(LATTICE, 100, 2.0)
 
 
 def test_lines_are_added_up_to_four_and_the_last_one_stays(page):
-    verbs = LineVerbs(page)
+    verbs = LineCommands(page)
     for _ in range(5):
         verbs.add()
     assert len(set(page.view.lines)) == 4

@@ -39,7 +39,7 @@ class PageOfReports:
         self.viewport = SimpleNamespace(set_size=lambda *size: None)
         self.main_panel = Panel()
 
-    def add_html(self, text: str) -> None:
+    def add_html(self, text: str, order: float | None = None) -> None:
         pass
 
     def add_text(self, label: str, value: str) -> PageOfReports:

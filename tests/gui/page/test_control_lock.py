@@ -23,7 +23,7 @@ class Gui:
         self._gui_input_handle_from_uuid: dict[str, Any] = {}
         self.drawn: list[SimpleNamespace] = []
 
-    def add_html(self, content: str) -> SimpleNamespace:
+    def add_html(self, content: str, order: float | None = None) -> SimpleNamespace:
         self.drawn.append(SimpleNamespace(content=content))
         return self.drawn[-1]
 

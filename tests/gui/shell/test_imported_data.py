@@ -28,7 +28,7 @@ def snapshot(*, imported: bool) -> Snapshot:
 def map_of(shown: Snapshot, step: Any) -> str:
     cells: list[Any] = []
 
-    def add_html(content: str) -> Any:
+    def add_html(content: str, order: float | None = None) -> Any:
         cells.append(SimpleNamespace(content=content))
         return cells[-1]
 

@@ -14,12 +14,12 @@ from wafer_viewer.gui.defects.defect_section import DefectSection
 from wafer_viewer.gui.defects.die_views import DefectMap, DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside
 from wafer_viewer.gui.overlays.toolbar import PrintPicture
-from wafer_viewer.gui.report import ReportPanel
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.shell.saved_views import SavedViews
 from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, shortcut_table
 from wafer_viewer.gui.shell.tour_guide import Welcome
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.report import report_commands
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets.controls import Command, looking, spoken
 from wafer_viewer.model.job import Notebook, SavedView
@@ -47,8 +47,8 @@ def all_commands() -> list[Command]:
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
-    panels = (ReviewPanel, ReportPanel, CompareSection, DefectBeside, DefectMap, DefectSection, DefectStack, Welcome)
-    of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
+    panels = (ReviewPanel, CompareSection, DefectBeside, DefectMap, DefectSection, DefectStack, Welcome)
+    of_panels = [command for panel in panels for command in panel.commands(MagicMock())] + report_commands(MagicMock())
     return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
 
 

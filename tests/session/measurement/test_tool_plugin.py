@@ -17,7 +17,7 @@ from wafer_viewer.store.formats.npz_file import write_npz
 EVERYWHERE = """
 import msgspec
 from wafer_viewer.cli.app import commands
-from wafer_viewer.gui.measure.measure_panel import MeasurePanel
+from wafer_viewer.gui.steps.measure import measure_step
 from wafer_viewer.gui.presenters.measurement import card, symbol
 from wafer_viewer.gui.presenters.measurement import source
 from wafer_viewer.gui.tools.initial_regions import INITIAL_REGIONS

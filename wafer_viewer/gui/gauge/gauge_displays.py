@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
 from wafer_viewer.draw.number_format import THIN, number, value_and_u
-from wafer_viewer.gui.measure.live_measurement import Answer
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import BottomPanel
@@ -134,6 +131,8 @@ def _row(check: GaugeCheck, chosen: bool) -> Markup:
     return html.row([day_and_time(check.at), error, verdict], " n", attributes, "sel" if chosen else "")
 
 
+LIVE_STEP = "step between the faces"
+"""Question of the page: the step as measured now."""
 _BESIDE_TOOLS_PX = 880
 """Scene width from which the read-out has its place beside the toolbar; below the toolbar in a narrower one."""
 _TOOLS_PX = 52
@@ -143,8 +142,8 @@ _TOOLS_PX = 52
 class StepReadout:
     """Read-out of the mean of the repeats, of an earlier check, or of the live step before the first repeat."""
 
-    def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
-        self._live, self._viewport = live, page.viewport
+    def __init__(self, page: Page) -> None:
+        self._answers, self._viewport = page.answers, page.viewport
         self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -159,7 +158,7 @@ class StepReadout:
         if check is not None:
             source = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
             return scene_step_label(f"Measured step{source}", check.height)
-        step = self._live().finding
+        step = self._answers.known(LIVE_STEP).value
         return (
             scene_step_label("Step between the regions, live", step.height)
             if isinstance(step, StepHeight)

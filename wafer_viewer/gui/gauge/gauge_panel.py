@@ -12,8 +12,8 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, with_unit
-from wafer_viewer.gui.gauge.gauge_displays import selected_check
-from wafer_viewer.gui.measure.live_measurement import Answering
+from wafer_viewer.gui.gauge.gauge_displays import LIVE_STEP, selected_check
+from wafer_viewer.gui.measure.live_measurement import live_measurement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
@@ -25,6 +25,7 @@ from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.ask import Answer
 from wafer_viewer.gui.widgets.callbacks import Debouncer, LatestOnlyWorker, guarded
 from wafer_viewer.gui.widgets.controls import (
     BoundInput,
@@ -43,6 +44,7 @@ from wafer_viewer.gui.widgets.controls import (
 from wafer_viewer.gui.widgets.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.widgets.style import by_id
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, Method, ScaleCorrection
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.model.spec import replace
@@ -297,10 +299,9 @@ class GaugePanel:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self.live = Answering(page)
+        self._live: Answer[AnyResult] = Answer()
         self.finder = FaceFinder(page)
         self._verbs = GaugeActions(page, self.finder)
-        page.on_close(self.live.close)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
@@ -312,7 +313,7 @@ class GaugePanel:
         if not visible:
             return
         self.finder.follow(snapshot, view)
-        self.live.follow(snapshot, in_scene(view))
+        self._live = live_measurement(self._page, LIVE_STEP, snapshot, in_scene(view))
         earlier = selected_check(snapshot, view)
         check = earlier or snapshot.gauge.signed or snapshot.gauge.check
         self._title.show(_title(earlier))
@@ -395,8 +396,8 @@ class GaugePanel:
         if self.finder.problem and not view.faces:
             link = Markup('<span class="wv-link" {}>Place the regions by hand</span>').format(html.pick("gauge-lay"))
             return html.note("attention", "The faces were not found", self.finder.problem, link)
-        if view.faces and not isinstance(self.live.answer.finding, StepHeight) and self.live.answer.problem:
-            return html.note("attention", "Nothing is measured there", self.live.answer.problem)
+        if view.faces and not isinstance(self._live.value, StepHeight) and self._live.problem:
+            return html.note("attention", "Nothing is measured there", self._live.problem)
         waits = snapshot.gauge.check is None and snapshot.gauge.signed is None and bool(view.faces)
         return html.empty("Drag the regions onto the two faces, then measure.") if waits else Markup()
 
@@ -407,7 +408,7 @@ class GaugePanel:
         self._paper.show(words.repeats(taken, check, may_drop) + words.certificate(paper, date.today()))
 
     def _show_sums(self, snapshot: Snapshot, view: View, earlier: GaugeCheck | None, check: GaugeCheck | None) -> None:
-        live = self.live.answer.finding
+        live = self._live.value
         step = live if isinstance(live, StepHeight) and earlier is None else None
         upper, lower = (check.upper, check.lower) if check is not None else view.faces or (None, None)
         parts = [words.conditions(step, check, upper, lower)]

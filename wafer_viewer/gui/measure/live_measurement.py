@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
+from wafer_viewer.gui.widgets.ask import Answer
 from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
@@ -18,53 +19,16 @@ from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """Result of the live measurement, or the reason why there is none."""
+def live_measurement(page: Page, name: str, snapshot: Snapshot, view: View) -> Answer[AnyResult]:
+    """Return the newest result of the tool in use; it is measured again when its regions or options have changed."""
+    tool, places, surface = view.tool, _places(view), _stamp(snapshot, view.show)
+    stamp = (places, view.options, view.levelling, view.show, surface)
 
-    finding: AnyResult | None = None
-    problem: str = ""
+    def measured() -> AnyResult:
+        return page.session.measure(tool, view.places, view.show, view.levelling, view.options)
 
-
-class Answering:
-    """Live measurement; `answer` holds the newest result, and the page is redrawn when it changes."""
-
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._worker = LatestOnlyWorker("measure")
-        self._requested: tuple[object, ...] | None = None
-        self.answer = Answer()
-
-    def follow(self, snapshot: Snapshot, view: View) -> None:
-        """Request a measurement if the tool, its regions or options, the levelling or the surface have changed."""
-        request = (view.tool, _places(view), view.options, view.levelling, view.show, _stamp(snapshot, view.show))
-        if request == self._requested:
-            return
-        if self._requested is None or request[0] != self._requested[0]:
-            self.answer = Answer()
-        self._requested = request
-        if request[-1] is None or not _places(view):
-            self.answer = Answer()
-            return
-        self._worker.ask(lambda: guarded(self._page, "The measurement failed")(self._measure)(view, request))
-
-    def close(self) -> None:
-        """Stop measuring, when the browser has disconnected."""
-        self._worker.close()
-
-    def _measure(self, view: View, request: tuple[object, ...]) -> None:
-        try:
-            answer = self._measured(view)
-        except WaferViewerError as fault:
-            answer = Answer(problem=str(fault))
-        if self._requested is not None and request[0] == self._requested[0]:
-            self.answer = answer  # of the tool in use: one that came too late would stand under another's title
-        self._page.redraw()
-
-    def _measured(self, view: View) -> Answer:
-        if view.tool == "none":
-            return Answer()
-        return Answer(self._page.session.measure(view.tool, view.places, view.show, view.levelling, view.options))
+    ready = tool != "none" and bool(places) and surface is not None
+    return page.answers(name, stamp, measured if ready else None, "The measurement failed", about=tool)
 
 
 def _places(view: View) -> object:
@@ -89,14 +53,6 @@ class Missing:
     """Reason why there is no curve."""
 
     why: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CurveAnswer:
-    """Result of the measurement along the active line, or the problem."""
-
-    finding: Profile | None = None
-    problem: str = ""
 
 
 class LiveProfiles:
@@ -139,10 +95,10 @@ class LiveProfiles:
         return read.at_um[0] / length_um, read.at_um[1] / length_um
 
     @property
-    def answer(self) -> CurveAnswer:
+    def answer(self) -> Answer[Profile]:
         """Result of the active line, or the first problem."""
         active = self.active
-        return CurveAnswer(active.profile if active else None, self.problems[0] if self.problems else "")
+        return Answer(active.profile if active else None, self.problems[0] if self.problems else "")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Request the curves that have changed; none are measured unless profiles are displayed."""

@@ -18,6 +18,7 @@ from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.state import view_state
 from wafer_viewer.gui.state.view_state import BrowserIdentity, ColourBy, Remembered, View
+from wafer_viewer.gui.widgets.ask import Ask
 from wafer_viewer.gui.widgets.callbacks import guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, with_micro_sign
@@ -69,10 +70,11 @@ class Page:
         self.counted_um: Box | None = None
         self.drawn_points = 0
         self.unavailable: tuple[str, ...] = OPTIONAL_QUANTITIES
+        self._at_close: list[Callable[[], None]] = []
+        self.answers = Ask(self)
         self._parts: Sequence[Part] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
         self._last_pick = 0
-        self._at_close: list[Callable[[], None]] = []
         self._notifications: dict[str, viser.NotificationHandle | None] = {
             fault.id: None for fault in session.snapshot.faults if not fault.needs_person
         }

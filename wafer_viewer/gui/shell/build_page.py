@@ -19,14 +19,14 @@ from markupsafe import Markup
 from wafer_viewer.gui.acquire import AcquirePanel
 from wafer_viewer.gui.defects.die_views import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
+from wafer_viewer.gui.elements.step import StepPanel
 from wafer_viewer.gui.gauge.gauge_displays import GaugeDock, StepReadout
 from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
 from wafer_viewer.gui.gauge.instrument_panel import CalibrationDock, InstrumentPanel
 from wafer_viewer.gui.live.live_panel import LivePanel
 from wafer_viewer.gui.live.live_picture import LiveDock, LivePicture
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
-from wafer_viewer.gui.measure.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure.profile_views import ProfileDock
+from wafer_viewer.gui.measure.profile_dock import ProfileDock
 from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.overlays.toolbar import PrintPicture, Toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
@@ -37,7 +37,6 @@ from wafer_viewer.gui.page.page import Page, Part
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
 from wafer_viewer.gui.page.stop import NOT_STOPPED, complete_fields_sentence, stop
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
-from wafer_viewer.gui.report import ReportPanel
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
@@ -53,6 +52,9 @@ from wafer_viewer.gui.shell.shortcuts import (
 )
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import Step, View, with_cursor
+from wafer_viewer.gui.steps.measure import MeasureState, measure_step, use_tool
+from wafer_viewer.gui.steps.report import ReportChoices, report_commands, report_step
+from wafer_viewer.gui.steps.results import choose_result
 from wafer_viewer.gui.surface.focus_evidence import WhyDock, WhyPanel
 from wafer_viewer.gui.surface.heights_section import ShownStatistics
 from wafer_viewer.gui.surface.points_section import PointCount, clip_box_callback
@@ -62,6 +64,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, always_mounted, looking
 from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, page_style
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
@@ -251,8 +254,10 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     statistics = ShownStatistics(page, scene.visible_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     live, instrument = LivePanel(page), InstrumentPanel(page)
-    surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
-    gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)
+    surface = SurfacePanel(page, poses, scene.range_in_view, statistics)
+    measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
+    gauge, review = GaugePanel(page), ReviewPanel(page, scene)
+    report = StepPanel(page, report_step, ReportChoices(), "The report was not changed")
     comparison, stack = DefectBeside(page), DefectStack(page, review.go_to)
     why = WhyPanel(page)
     ear.left = left.panel
@@ -294,7 +299,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             live,
             comparison,
             stack,
-            StepReadout(page, lambda: gauge.live.answer),
+            StepReadout(page),
         ),
         welcome,
         tour,
@@ -306,15 +311,14 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         viewpoint,
         drawing,
     ]
-    _listen_to_page(page, scene, left, measure)
+    _listen_to_page(page, scene, left)
     left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = live, welcome, tour, gauge, instrument, review, report, *left.with_commands, comparison, stack
-    of_parts = [command for part in with_verbs for command in part.commands()]
-    verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
+    with_verbs = live, welcome, tour, gauge, instrument, review, *left.with_commands, comparison, stack
+    of_parts = [command for part in with_verbs for command in part.commands()] + report_commands(report.here)
+    verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure.here, why))]
     parts.insert(1, _palette(page, scene, verbs))
-    page.on_close(measure.close)
     page.on_close(scene.close)
     page.begin(parts)
     return page
@@ -337,9 +341,10 @@ def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
     return palette
 
 
-def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: MeasurePanel) -> None:
+def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel) -> None:
     """Connect clicks in the left panel, on the overlays and in the header."""
-    left.results.on_chosen(scene.fly_to)
+    page.on_pick("finding", lambda key: choose_result(page, int(key), scene.fly_to))
+    page.on_pick("stage-zero", lambda _: page.change(levelling=Levelling(), range_um=None))
     left.defects.on_chosen(scene.fly_to)
     left.map.on_camera_view(scene.visible_um)
     left.map.on_brushed(lambda: page.statistics.brushed if page.statistics is not None else None)
@@ -347,7 +352,7 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: Meas
     MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
-    page.on_pick("tool", measure.use)
+    page.on_pick("tool", lambda tool: use_tool(page, tool))
     page.on_pick("look", scene.look_from)
     page.on_pick("select", lambda _: page.change(selecting=not page.view.selecting))
 

@@ -30,10 +30,10 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.defects.defect_dialogs import other_marks
 from wafer_viewer.gui.defects.defect_section import DefectSection
 from wafer_viewer.gui.defects.die_views import DefectMap
+from wafer_viewer.gui.elements.step import StepPanel
 from wafer_viewer.gui.gauge.gauge_displays import GaugeList
 from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
 from wafer_viewer.gui.live.live_places import LivePlaces
-from wafer_viewer.gui.measure.result_list import ResultList
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
 from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
@@ -41,8 +41,10 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
 from wafer_viewer.gui.presenters.results import ReviewItem
 from wafer_viewer.gui.presenters.review import review_items, review_list
+from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.results import NOT_CHANGED, result_list
 from wafer_viewer.gui.surface.compare_section import CompareSection
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
@@ -286,7 +288,7 @@ class LeftPanel:
             self._calibrations = CalibrationList(page)
             self.compare = CompareSection(page)
             self._build_datasets()
-            self.results = ResultList(page)
+            self._results = StepPanel(page, result_list, Thumbnails(page), NOT_CHANGED)
         panel.dock_left()
         panel.set_width(LEFT_PX)
         page.on_pick("open", lambda path: open_dataset(page, Path(path)))
@@ -317,7 +319,7 @@ class LeftPanel:
         self.live.show(snapshot, view)
         set_prop(self._datasets, "visible", view.step in ("plan", "surface") and not view.at_bench)
         self._show_datasets()
-        self.results.show(snapshot, view)
+        self._results.show(snapshot, view)
 
     def _build_datasets(self) -> None:
         page = self._page

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, get_args
 
 import viser
@@ -15,8 +16,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.acquire import RETAKE, AcquirePanel, why_not_retaken
-from wafer_viewer.gui.measure.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure.profile_views import LineVerbs
+from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.header import TITLES
@@ -46,6 +46,9 @@ from wafer_viewer.gui.page.preconditions import (
 from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.state.view_state import Step, View
+from wafer_viewer.gui.steps.measure import MeasureState, keep_result, use_tool, why_not_keep
+from wafer_viewer.gui.steps.profiles import LineCommands
+from wafer_viewer.gui.steps.results import delete_result, rename_result
 from wafer_viewer.gui.surface.focus_evidence import WhyPanel
 from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tools.tool_palette import icon_of
@@ -78,7 +81,7 @@ class Parts:
     plan: PlanPanel
     acquire: AcquirePanel
     surface: SurfacePanel
-    measure: MeasurePanel
+    measure: Here[MeasureState]
     why: WhyPanel
 
 
@@ -232,25 +235,11 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
 
 
 def _measuring(page: Page, parts: Parts) -> list[Command]:
-    session = page.session
-
-    def rename() -> None:
-        from wafer_viewer.gui.page.dialogs import rename_dialog
-
-        chosen = next((f for f in session.snapshot.findings if f.number == page.view.selected), None)
-        if chosen is not None:
-            rename_dialog(page, chosen.number, chosen.name)
-
-    def delete() -> None:
-        if page.view.step == "measure" and page.view.selected is not None:
-            deleted = session.delete(page.view.selected)
-            page.ask("The result was not changed", deleted, lambda _: page.change(selected=None))
-
     tools = [
         Command(
             tool.title,
             tool.key,
-            lambda t=tool.name: parts.measure.use(t),
+            lambda t=tool.name: use_tool(page, t),
             icon_of(tool),
             "shift" if tool.shift else None,
             "Measure",
@@ -258,8 +247,8 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
         for tool in TOOLS.values()
         if tool.key
     ]
-    lines = LineVerbs(page)
-    keep = Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure")
+    lines = LineCommands(page)
+    keep = Command("Keep the result", "enter", lambda: keep_result(parts.measure), ICON.CHECK, "cmd/ctrl", "Measure")
     return [
         *with_precondition(
             no_surface,
@@ -275,11 +264,11 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
             Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
             Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
         ),
-        *with_precondition(parts.measure.why_not_keep, keep),
+        *with_precondition(partial(why_not_keep, parts.measure), keep),
         *with_precondition(
             no_result,
-            Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
-            Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
+            Command("Rename the result…", None, lambda: rename_result(page), ICON.PENCIL, group="Measure"),
+            Command("Delete the result", "delete", lambda: delete_result(page), ICON.TRASH, group="Measure"),
         ),
     ]
 

@@ -17,9 +17,9 @@ from wafer_viewer.draw.number_format import duration, number, size, with_unit
 from wafer_viewer.gui.page.import_dialog import import_dialog
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.report import report_address
 from wafer_viewer.gui.review import JUDGEMENTS
 from wafer_viewer.gui.state.view_state import Tour, View
+from wafer_viewer.gui.steps.report import report_address
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, add_html, command_button, leading, outlined, set_prop

@@ -97,9 +97,9 @@ TIGHT_ROW = 3
 """Number of buttons in a row from which their labels get compact spacing."""
 
 
-def add_html(gui: Gui, content: Markup | Literal[""]) -> viser.GuiHtmlHandle:
+def add_html(gui: Gui, content: Markup | Literal[""], order: float | None = None) -> viser.GuiHtmlHandle:
     """Add an element of HTML to the page; text that is not Markup is escaped."""
-    return gui.add_html(_sent(content))
+    return gui.add_html(_sent(content), order=order)
 
 
 def _sent(content: Markup | Literal[""]) -> str:
@@ -109,10 +109,12 @@ def _sent(content: Markup | Literal[""]) -> str:
 class HtmlBlock:
     """A block of HTML on the page. Text that is not Markup is shown as text."""
 
-    def __init__(self, gui: Gui, content: Markup | Literal[""] = "", padded: bool = True) -> None:
+    def __init__(
+        self, gui: Gui, content: Markup | Literal[""] = "", padded: bool = True, order: float | None = None
+    ) -> None:
         self._padded = padded
         self._content = content
-        self._handle = add_html(gui, self._framed(content))
+        self._handle = add_html(gui, self._framed(content), order)
 
     def show(self, content: Markup | Literal[""]) -> None:
         """Set the content if it has changed."""
@@ -242,6 +244,11 @@ def command_button(
 
 def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any = None) -> None:
     """Arrange the latest buttons in a row of equal widths, all outlined except `filled`."""
+    add_html(gui, row_style(buttons, height_px, filled))
+
+
+def row_style(buttons: Sequence[Any], height_px: int, filled: Any = None) -> Markup:
+    """Return the styles that arrange adjacent buttons in a row of equal widths, all outlined except `filled`."""
     gap_px = 6
     width = f"calc((100% - 2*var(--mantine-spacing-xs) - {gap_px * (len(buttons) - 1)}px)/{len(buttons)})"
     rules = "".join(
@@ -251,16 +258,26 @@ def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any 
         + (_tight(b) if len(buttons) >= TIGHT_ROW else "")
         for k, b in enumerate(buttons)
     )
-    add_html(gui, html.style_sheet(rules))
+    return html.style_sheet(rules)
 
 
 def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
     """Draw a button with an outline, as a secondary action."""
-    add_html(gui, html.style_sheet(_outlined(handle, height_px)))
+    add_html(gui, outlined_style(handle, height_px))
+
+
+def outlined_style(handle: Any, height_px: int = 36) -> Markup:
+    """Return the styles of a button with an outline."""
+    return html.style_sheet(_outlined(handle, height_px))
 
 
 def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
     """Draw a button filled, as the primary action; `sticky`: always visible at the foot of the panel."""
+    add_html(gui, leading_style(handle, height_px, sticky))
+
+
+def leading_style(handle: Any, height_px: int = 44, sticky: bool = True) -> Markup:
+    """Return the styles of a filled button."""
     selector = by_id(handle._impl.uuid)
     rules = (
         f"{selector}{{height:{height_px}px!important}}{selector} .mantine-Button-label{{font-size:15.5px!important}}"
@@ -268,7 +285,7 @@ def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> 
     if sticky:
         foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
         rules += f"div:has(>{selector}){{{foot}}}"
-    add_html(gui, html.style_sheet(rules))
+    return html.style_sheet(rules)
 
 
 def duo(gui: Gui) -> None:
@@ -286,15 +303,16 @@ class ToggleGroup:
         options: Sequence[tuple[Any, str]],
         on_change: Callable[[Any], None],
         action: Action | None = None,
+        order: float | None = None,
     ) -> None:
         self._keys = [key for key, _ in options]
         self._titles = [name for _, name in options]
         self._on_change = on_change
         self._mark = f"wv-choice-{id(self)}"
         self._look = f"{self._mark} {html.FOR_ENGINEERS}" if role_for(action) == "engineer" else self._mark
-        self._cell = HtmlBlock(gui, self._style(0), padded=False)
-        group = gui.add_button_group(label, self._titles)
-        group.on_click(self._click)
+        self._cell = HtmlBlock(gui, self._style(0), padded=False, order=order)
+        self.handle = gui.add_button_group(label, self._titles, order=order)
+        self.handle.on_click(self._click)
 
     def show(self, key: Any) -> None:
         """Highlight the selected option; none if `key` is no option."""

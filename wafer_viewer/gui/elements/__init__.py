@@ -1,0 +1,1 @@
+"""A step of work as data: what it shows, and the reconciler that brings viser's widgets to it."""

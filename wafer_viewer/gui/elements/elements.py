@@ -1,0 +1,143 @@
+"""Elements of a step of work: frozen descriptions of what a panel shows.
+
+A step returns them anew for each state; the reconciler in `mount.py` keeps one widget for each and sends what differs.
+Callbacks may return a session command, whose failure is reported under the title of the element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from markupsafe import Markup
+
+from wafer_viewer.model.roles import Action
+
+ButtonStyle = Literal["plain", "outlined", "leading"]
+"""As in a row of its own; a secondary action; the primary action, always visible at the foot of the panel."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Element:
+    """Base of all elements.
+
+    key: identity among its siblings, if its place does not tell it: an element whose key or place stays keeps its
+    widget, with focus and cursor.
+    """
+
+    key: object = None
+
+
+@dataclass(frozen=True, slots=True)
+class Html(Element):
+    """A block of HTML; text that is not Markup is shown as text."""
+
+    content: Markup | Literal[""] = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Button(Element):
+    """A button.
+
+    commands: True if it needs control, because it moves the rig or changes the plan, the dataset or the results;
+    action: what it does, if that needs a role. failed: title of a failure; without one that of its stack or step.
+    """
+
+    label: str
+    act: Callable[[], Any]
+    icon: Any = None
+    style: ButtonStyle = "plain"
+    disabled: bool = False
+    commands: bool = False
+    action: Action | None = None
+    failed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Buttons(Element):
+    """Buttons of equal widths side by side, outlined."""
+
+    buttons: Sequence[Button]
+    height_px: int = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Input(Element):
+    """Input of a person: `value` is that of the session or the view; `put` gets another one.
+
+    hint: tooltip, with what an empty field means. pause_s: rest in typing before `put`; None calls it at once.
+    """
+
+    label: str
+    value: Any
+    put: Callable[[Any], Any]
+    hint: str
+    disabled: bool = False
+    commands: bool = False
+    failed: str = ""
+    pause_s: ClassVar[float | None] = None
+
+
+@dataclass(frozen=True, slots=True)
+class Checkbox(Input):
+    """On or off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dropdown(Input):
+    """One of `options` from a list."""
+
+    options: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Toggle(Input):
+    """One of a few `options`, pairs of key and title, side by side."""
+
+    options: Sequence[tuple[str, str]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Text(Input):
+    """A line of text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Number(Input):
+    """A number that is never empty."""
+
+    step: float = 1.0
+    decimals: int = 0
+    least: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NumberPair(Input):
+    """Two numbers."""
+
+    step: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class NumberOrEmpty(Input):
+    """A number over `over`, or None while the field is empty."""
+
+    over: float | None = None
+    pause_s: ClassVar[float | None] = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Stack(Element):
+    """Elements one below the other; `side_by_side` arranges the two of them in a row.
+
+    failed: title of a failure of those that have none of their own.
+    """
+
+    elements: Sequence[Element | None]
+    side_by_side: bool = False
+    failed: str = ""
+
+
+Elements = Sequence[Element | None]
+"""Elements from top to bottom; None keeps the place of one that is not shown now."""

@@ -1,0 +1,252 @@
+"""Reconciler: brings the widgets of one panel to the elements that its step returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import viser
+from markupsafe import Markup
+
+from wafer_viewer.gui.elements import elements as el
+from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded
+from wafer_viewer.gui.widgets.controls import (
+    BoundInput,
+    Drawn,
+    HtmlBlock,
+    ToggleGroup,
+    add_html,
+    controlled,
+    leading_style,
+    outlined_style,
+    row_style,
+    set_prop,
+    with_decimals,
+)
+from wafer_viewer.gui.widgets.number_field import number_of, text_of
+
+Path = tuple[Hashable, ...]
+"""Keys or places from the panel down to an element, and the kind of the element."""
+
+
+class Widget(Protocol):
+    """Counterpart of an element on the page."""
+
+    def show(self, element: Any) -> None:
+        """Bring it to the element."""
+        ...
+
+    def hide(self) -> None:
+        """Take it off the page, ready to return."""
+        ...
+
+
+class Mount:
+    """The widgets of a panel.
+
+    An element that stands at the same place, or has the same key, gets the widget that it had; that of an element
+    which is missing is hidden until it returns. Only what differs is sent.
+    """
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, failed: str) -> None:
+        self._gui, self._page, self._failed = gui, page, failed
+        self._folder = gui.add_folder(None, visible=False)
+        self._widgets: dict[Path, Widget] = {}
+
+    def show(self, elements: el.Elements | None) -> None:
+        """Show the elements; None hides the panel and leaves its widgets as they are."""
+        set_prop(self._folder, "visible", elements is not None)
+        if elements is None:
+            return
+        present = {placed.path: placed for placed in _placed(el.Stack(elements, failed=self._failed))}
+        for path in self._widgets.keys() - present.keys():
+            self._widgets[path].hide()
+        for path, placed in present.items():
+            if path not in self._widgets:
+                with self._folder:
+                    self._widgets[path] = WIDGETS[type(placed.element)](self._gui, self._page, placed)
+            self._widgets[path].show(placed.element)
+
+
+_FINER = 1e-3
+"""Distance of two elements of a group in the order of the panel, relative to that of two groups."""
+_DUO = el.Html(Markup('<div class="wv-duo"></div>'))
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """An element with its path, its place in the order of the panel, and the title of a failure."""
+
+    path: Path
+    element: Any
+    order: float
+    failed: str
+
+
+def _placed(stack: el.Stack, above: Path = (), first: float = 0.0, apart: float = 1.0) -> Iterator[_Placed]:
+    """Yield the elements of a stack and of all stacks in it."""
+    elements = (_DUO, *stack.elements) if stack.side_by_side else stack.elements
+    for place, element in enumerate(elements, 1):
+        if element is None:
+            continue
+        path, order = (*above, place if element.key is None else (element.key,)), first + place * apart
+        failed = getattr(element, "failed", "") or stack.failed
+        if isinstance(element, el.Stack):
+            yield from _placed(replace(element, failed=failed), path, order, apart * _FINER)
+        else:
+            yield _Placed((*path, type(element)), element, order, failed)
+
+
+class HtmlWidget:
+    """Widget of `Html`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self._block = HtmlBlock(gui, placed.element.content, order=placed.order)
+
+    def show(self, element: el.Html) -> None:
+        """Set the content."""
+        self._block.show(element.content)
+
+    def hide(self) -> None:
+        """Empty the block."""
+        self._block.show("")
+
+
+class ButtonWidget:
+    """Widget of `Button`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self._element: el.Button = placed.element
+        element, order = self._element, placed.order
+        self.handle = handle = gui.add_button(element.label, icon=element.icon, disabled=element.disabled, order=order)
+        handle.on_click(guarded(page, placed.failed)(lambda _: self._element.act()))
+        if element.commands:
+            controlled(handle, element.action)
+        style = {"outlined": outlined_style, "leading": leading_style}.get(element.style)
+        if style is not None:
+            add_html(gui, style(handle), order)
+
+    def show(self, element: el.Button) -> None:
+        """Set label and state, and the callback of the next press."""
+        self._element = element
+        set_prop(self.handle, "label", element.label)
+        set_prop(self.handle, "disabled", element.disabled)
+        set_prop(self.handle, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the button."""
+        set_prop(self.handle, "visible", False)
+
+
+class ButtonsWidget:
+    """Widget of `Buttons`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        row = placed.element
+        self._buttons = [
+            ButtonWidget(gui, page, replace(placed, element=button, failed=button.failed or placed.failed))
+            for button in row.buttons
+        ]
+        add_html(gui, row_style([button.handle for button in self._buttons], row.height_px), placed.order)
+
+    def show(self, element: el.Buttons) -> None:
+        """Bring each button up to date."""
+        for button, of in zip(self._buttons, element.buttons, strict=True):
+            button.show(of)
+
+    def hide(self) -> None:
+        """Hide all buttons."""
+        for button in self._buttons:
+            button.hide()
+
+
+class ToggleWidget:
+    """Widget of `Toggle`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self._element = element = placed.element
+        put = guarded(page, placed.failed)(lambda key: self._element.put(key))
+        self._group = ToggleGroup(gui, element.label, element.options, put, order=placed.order)
+
+    def show(self, element: el.Toggle) -> None:
+        """Highlight the option that is set."""
+        self._element = element
+        self._group.show(element.value)
+        set_prop(self._group.handle, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the buttons."""
+        set_prop(self._group.handle, "visible", False)
+
+
+class InputWidget:
+    """Widget of any other input.
+
+    What a person types stands until the session has it, and a value that came back earlier never replaces it.
+    """
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self._element = element = placed.element
+        handle = _ADD[type(element)](gui, element, placed.order)
+        if element.commands:
+            controlled(handle)
+        heard = self._put
+        if element.pause_s is not None:
+            edits = Debouncer(self._put, guarded(page, placed.failed), element.pause_s)
+            heard = edits.made
+        self._input: BoundInput[Any] = BoundInput(handle, lambda _: heard(), page, placed.failed)
+
+    def show(self, element: el.Input) -> None:
+        """Set value and state, and the callback of the next change."""
+        self._element = element
+        if isinstance(element, el.Dropdown):
+            set_prop(self._input.handle, "options", tuple(element.options))
+        self._input.show(_shown(element))
+        self._input.enable(not element.disabled)
+        set_prop(self._input.handle, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the input."""
+        set_prop(self._input.handle, "visible", False)
+
+    def _put(self) -> Any:
+        element, value = self._element, self._input.value
+        if isinstance(element, el.NumberOrEmpty):
+            value = number_of(value, element.label, over=element.over)
+        return element.put(value)
+
+
+def _shown(element: el.Input) -> Any:
+    """Return the value of an element as its widget has it."""
+    return text_of(element.value) if isinstance(element, el.NumberOrEmpty) else element.value
+
+
+def _number(gui: viser.GuiApi, element: Any, order: float) -> Any:
+    handle = gui.add_number(
+        element.label, element.value, min=element.least, step=element.step, hint=element.hint, order=order
+    )
+    return with_decimals(handle, element.decimals)
+
+
+def _dropdown(gui: viser.GuiApi, element: el.Dropdown, order: float) -> Any:
+    options = tuple(element.options)
+    return gui.add_dropdown(element.label, options, initial_value=element.value, hint=element.hint, order=order)
+
+
+_ADD: dict[type[el.Input], Callable[[viser.GuiApi, Any, float], Any]] = {
+    el.Checkbox: lambda gui, e, order: gui.add_checkbox(e.label, e.value, hint=e.hint, order=order),
+    el.Dropdown: _dropdown,
+    el.Text: lambda gui, e, order: gui.add_text(e.label, e.value, hint=e.hint, order=order),
+    el.NumberOrEmpty: lambda gui, e, order: gui.add_text(e.label, _shown(e), hint=e.hint, order=order),
+    el.Number: _number,
+    el.NumberPair: lambda gui, e, order: gui.add_vector2(e.label, e.value, step=e.step, hint=e.hint, order=order),
+}
+WIDGETS: dict[type[el.Element], Callable[[viser.GuiApi, Drawn, _Placed], Widget]] = {
+    el.Html: HtmlWidget,
+    el.Button: ButtonWidget,
+    el.Buttons: ButtonsWidget,
+    el.Toggle: ToggleWidget,
+    **dict.fromkeys(_ADD, InputWidget),
+}
+"""Widget of each kind of element."""

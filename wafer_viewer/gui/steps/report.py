@@ -1,0 +1,163 @@
+"""The step Report: choice of sections, their contents, and the report file."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import viser
+from markupsafe import Markup
+
+from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Element, Elements, Html, Text
+from wafer_viewer.gui.elements.step import Here
+from wafer_viewer.gui.page.import_export_dialogs import save_dialog
+from wafer_viewer.gui.page.preconditions import no_surface
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Command, with_precondition
+from wafer_viewer.model.report import PART_TITLES, PARTS, Holds, Part, ReportOrder
+from wafer_viewer.session.files.file_jobs import REPORT, free_path, newest_report
+from wafer_viewer.session.state.snapshot import Snapshot
+
+CONTENTS, WRITING = "contents of a report", "report"
+UNKNOWN = Holds("…")
+TITLE_HINT = "Heading of the report; without one the dataset's name"
+FAILED = "The report was not written"
+_NONE_SELECTED = Markup('<div class="wv-why">Not yet: no section is selected.</div>')
+
+
+@dataclass(frozen=True, slots=True)
+class ReportChoices:
+    """Choices of one browser.
+
+    left_out: sections that a person deselected; those that are empty now are not among them, as they may fill later.
+    written: dataset and path of the report that was written last.
+    """
+
+    title: str = ""
+    left_out: frozenset[Part] = frozenset()
+    written: tuple[Path, Path] | None = None
+
+
+def report_step(here: Here[ReportChoices]) -> Elements | None:
+    """Return title and sections; the button writes the report next to the dataset and offers it for download."""
+    data = here.snapshot.dataset
+    if here.view.step != "report" or data is None:
+        here.ask.forget(CONTENTS)
+        return None
+    contents = _contents(here)
+    chosen = chosen_parts(here)
+    idle = bool(chosen) and not here.ask.busy(WRITING)
+    floppy, sheet = viser.Icon.DEVICE_FLOPPY, viser.Icon.FILE_TEXT
+    return [
+        Html(html.title("Report", "A self-contained HTML file that prints on A4.")),
+        Html(here.page.notes(here.snapshot)),
+        Text("Title", here.own.title, lambda title: here.keep(title=title), TITLE_HINT),
+        Html(html.head("Contents")),
+        *(element for part in PARTS for element in _section(here, part, contents.get(part, UNKNOWN), part in chosen)),
+        Buttons([Button("Save report as…", lambda: ask_where(here), floppy, disabled=not idle, failed=FAILED)], 34),
+        Html(_newest(_last(here.own, data.path)) if chosen else _NONE_SELECTED),
+        Button("Write report", lambda: write(here), sheet, "leading", disabled=not idle, failed=FAILED),
+    ]
+
+
+def report_commands(here: Here[ReportChoices]) -> list[Command]:
+    """Return the commands that write the report, without and with a dialog."""
+    return with_precondition(
+        lambda snapshot, view: _why_not(here, snapshot, view),
+        Command("Write report", None, lambda: write(here), viser.Icon.FILE_TEXT, group="Report"),
+        Command("Save report as…", None, lambda: ask_where(here), viser.Icon.DEVICE_FLOPPY, group="Report"),
+    )
+
+
+def chosen_parts(here: Here[ReportChoices]) -> tuple[Part, ...]:
+    """Return the sections to write: all that are not empty and not deselected."""
+    contents = here.ask.known(CONTENTS).value or {}
+    nothing = {part for part, holds in contents.items() if holds.nothing}
+    return tuple(part for part in PARTS if part not in here.own.left_out and part not in nothing)
+
+
+def write(here: Here[ReportChoices]) -> None:
+    """Write the report next to the dataset, under an unused name, and hand it to the browser."""
+    if _why_not(here, here.page.session.snapshot, here.page.view) is None:
+        here.page.ask(FAILED, _begin(here, None), lambda path: _hand_out(here, path))
+
+
+def ask_where(here: Here[ReportChoices]) -> None:
+    """Open the dialog that saves the report."""
+    snapshot = here.page.session.snapshot
+    if (data := snapshot.dataset) is not None and _why_not(here, snapshot, here.page.view) is None:
+        name = free_path(data.path, REPORT, ".html").name
+        save_dialog(here.page, "Save the report", name, lambda path: _begin(here, path), "Report saved", FAILED)
+
+
+def report_address(report: Path) -> str:
+    """Return the address of a report on the page's own server."""
+    return f"/reports/{quote(report.name)}"
+
+
+def _section(here: Here[ReportChoices], part: Part, holds: Holds, chosen: bool) -> tuple[Element, Element]:
+    def tick(wanted: bool) -> None:
+        here.keep(left_out=here.own.left_out - {part} if wanted else here.own.left_out | {part})
+
+    title = PART_TITLES[part]
+    hint = f"Include the section {title}"
+    look = " none" if holds.nothing else "" if chosen else " off"
+    return (
+        Checkbox(title, chosen, tick, hint, disabled=holds.nothing),
+        Html(Markup('<div class="wv-part{}">{}</div>').format(look, html.with_micro_sign(holds.words))),
+    )
+
+
+def _contents(here: Here[ReportChoices]) -> dict[Part, Holds]:
+    """Return what is known of the sections; it is asked again when it may have changed."""
+    snapshot, papers, data = here.snapshot, here.page.session.papers, here.snapshot.dataset
+    stamp = (data and data.path, snapshot.findings, snapshot.notebook.book.judgements, snapshot.surface)
+    stamp = (*stamp, snapshot.operating.verdict, papers.pictures_kept, here.own.written)
+    return here.ask(CONTENTS, stamp, lambda: papers.contents().result(), "The contents were not read").value or {}
+
+
+def _why_not(here: Here[ReportChoices], snapshot: Snapshot, view: View) -> str | None:
+    if (missing := no_surface(snapshot, view)) is not None:
+        return missing
+    if here.ask.busy(WRITING):
+        return "a report is being written."
+    return None if chosen_parts(here) else "no section is selected."
+
+
+def _begin(here: Here[ReportChoices], path: Path | None) -> Future[Path]:
+    """Start to write to a path; None writes next to the dataset."""
+    data = here.page.session.snapshot.dataset
+
+    def take(done: Future[Any]) -> None:
+        if data is not None and not done.cancelled() and done.exception() is None:
+            here.keep(written=(data.path, done.result()))
+
+    order = ReportOrder(title=here.own.title, parts=chosen_parts(here))
+    writing = here.ask.begin(WRITING, here.page.session.papers.write_report(order, path))
+    writing.add_done_callback(take)
+    return writing
+
+
+def _hand_out(here: Here[ReportChoices], path: Path) -> None:
+    here.page.client.send_file_download(path.name, path.read_bytes())
+
+
+def _last(choices: ReportChoices, dataset: Path) -> Path | None:
+    """Return the newest report of a dataset: written by this page, or found next to it."""
+    written = choices.written[1] if choices.written is not None and choices.written[0] == dataset else None
+    return written if written is not None and written.exists() else newest_report(dataset)
+
+
+def _newest(path: Path | None) -> Markup:
+    """Return a note with a link to the newest report; empty for None."""
+    if path is None:
+        return Markup()
+    link = Markup('<a class="wv-link" href="{}" target="_blank" rel="noopener">Open the report</a>').format(
+        report_address(path)
+    )
+    words = Markup('<div><b>The report is written.</b><p>{}</p><p class="wv-foot">{}</p></div>').format(path, link)
+    return Markup('<div class="wv-note good" role="status">{}</div>').format(words)
