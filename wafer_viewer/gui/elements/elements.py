@@ -31,9 +31,10 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Html(Element):
-    """A block of HTML; text that is not Markup is shown as text."""
+    """A block of HTML with the margins of the panel, if it is padded; text that is not Markup is shown as text."""
 
     content: Markup | Literal[""] = ""
+    padded: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,7 +71,7 @@ class Mount:
 
 _FINER = 1e-3
 """Distance of two elements of a group in the order of the panel, relative to that of two groups."""
-_DUO = el.Html(Markup('<div class="wv-duo"></div>'))
+_DUO = el.Html(Markup('<div class="wv-duo"></div>'), padded=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class HtmlWidget:
     """Widget of `Html`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self._block = HtmlBlock(gui, placed.element.content, order=placed.order)
+        self._block = HtmlBlock(gui, placed.element.content, placed.element.padded, placed.order)
 
     def show(self, element: el.Html) -> None:
         """Set the content."""

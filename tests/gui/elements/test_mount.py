@@ -1,0 +1,214 @@
+"""Elements on viser's own widgets: identity, order, what is sent, and whom a press reaches."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import viser
+from markupsafe import Markup
+
+from tests.support.patience import until
+from wafer_viewer.gui.elements.elements import (
+    Button,
+    Buttons,
+    Checkbox,
+    Dropdown,
+    Element,
+    Html,
+    Number,
+    NumberOrEmpty,
+    NumberPair,
+    Stack,
+    Text,
+    Toggle,
+)
+from wafer_viewer.gui.elements.mount import Mount
+from wafer_viewer.model.errors import WaferViewerError
+
+
+@dataclass
+class Page:
+    """A page that notes what it is told; what was read before an input is older than it."""
+
+    told: list[Any] = field(default_factory=list)
+
+    @property
+    def as_of_s(self) -> float:
+        return time.monotonic()
+
+    def tell(self, fault: Any) -> None:
+        self.told.append((fault.title, fault.text))
+
+    def say(self, title: str, text: str, tone: Any = "good") -> None:
+        self.told.append((title, text))
+
+
+@pytest.fixture(scope="module")
+def gui():
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server.gui
+    server.stop()
+
+
+@pytest.fixture
+def page() -> Page:
+    return Page()
+
+
+@pytest.fixture
+def mount(gui: Any, page: Page) -> Mount:
+    return Mount(gui, page, "The setting was not changed")
+
+
+def widgets(mount: Mount) -> list[Any]:
+    """The visible inputs of a panel, in their order on the page."""
+    handles = mount._folder._children.values()
+    shown = [handle for handle in handles if handle.visible and hasattr(handle, "label")]
+    return sorted(shown, key=lambda handle: handle.order)
+
+
+def labels(mount: Mount) -> list[str]:
+    return [handle.label for handle in widgets(mount)]
+
+
+def set_by_a_person(handle: Any, value: Any) -> None:
+    """As viser does it: the value first, then the callbacks."""
+    handle._impl.value = value
+    for callback in handle._impl.update_cb:
+        callback(SimpleNamespace(client=object(), target=handle))
+
+
+def press(handle: Any) -> None:
+    for callback in handle._impl.update_cb:
+        callback(SimpleNamespace(client=object(), target=handle))
+
+
+def nothing(_: Any = None) -> None:
+    pass
+
+
+def test_an_element_keeps_its_widget_while_its_place_or_key_stays(mount: Mount):
+    mount.show([Text("Title", "a", nothing, ""), Button("Write", nothing)])
+    title, write = widgets(mount)
+    mount.show([Text("Title", "b", nothing, ""), Button("Writing", nothing, disabled=True)])
+    assert widgets(mount) == [title, write]
+    assert (title.value, write.label, write.disabled) == ("b", "Writing", True)
+
+
+def test_one_that_is_missing_is_hidden_and_comes_back_to_its_place(mount: Mount):
+    first, last = Button("First", nothing), Button("Last", nothing)
+    mount.show([first, None, last])
+    mount.show([first, Checkbox("Between", value=True, put=nothing, hint=""), last])
+    assert labels(mount) == ["First", "Between", "Last"]
+    between = widgets(mount)[1]
+    mount.show([first, None, last])
+    assert labels(mount) == ["First", "Last"]
+    mount.show([first, Checkbox("Between", value=False, put=nothing, hint=""), last])
+    assert widgets(mount)[1] is between
+    assert between.value is False
+
+
+def test_stacks_with_keys_have_widgets_of_their_own_at_the_same_place(mount: Mount):
+    def of(tool: str) -> list[Element]:
+        return [Stack([NumberOrEmpty("Width, µm", None, nothing, "", over=0)], key=tool), Button("Keep", nothing)]
+
+    mount.show(of("step"))
+    (width, keep) = widgets(mount)
+    mount.show(of("groove"))
+    assert labels(mount) == ["Width, µm", "Keep"]
+    assert widgets(mount)[0] is not width
+    mount.show(of("step"))
+    assert widgets(mount) == [width, keep]
+
+
+def test_none_hides_the_panel(mount: Mount):
+    mount.show([Button("Keep", nothing)])
+    mount.show(None)
+    assert not mount._folder.visible
+    mount.show([Button("Keep", nothing)])
+    assert mount._folder.visible
+
+
+def test_a_press_reaches_the_callback_of_the_newest_state(mount: Mount):
+    pressed: list[str] = []
+    mount.show([Buttons([Button("Undo", lambda: pressed.append("old")), Button("Redo", nothing)])])
+    mount.show([Buttons([Button("Undo", lambda: pressed.append("new")), Button("Redo", nothing)])])
+    press(widgets(mount)[0])
+    assert pressed == ["new"]
+
+
+def test_a_failure_has_the_title_of_the_element_of_its_stack_or_of_the_step(mount: Mount, page: Page):
+    def fail(_: Any = None) -> None:
+        raise WaferViewerError("It is read only.")
+
+    mount.show(
+        [
+            Button("A", fail, failed="Not kept"),
+            Stack([Buttons([Button("B", fail)])], failed="The line was not changed"),
+            Checkbox("C", value=False, put=fail, hint=""),
+        ]
+    )
+    own, of_stack, of_step = widgets(mount)
+    press(own)
+    press(of_stack)
+    set_by_a_person(of_step, True)
+    assert [title for title, _ in page.told] == ["Not kept", "The line was not changed", "The setting was not changed"]
+
+
+@pytest.mark.parametrize(
+    ("element", "typed", "got"),
+    [
+        (Text, "edge 3", "edge 3"),
+        (Checkbox, True, True),
+        (Number, 4.0, 4.0),
+        (NumberPair, (1.0, 2.5), (1.0, 2.5)),
+        (NumberOrEmpty, "2,5", 2.5),
+        (NumberOrEmpty, "", None),
+    ],
+)
+def test_what_a_person_sets_comes_as_the_value_of_the_element(mount: Mount, element: Any, typed: Any, got: Any):
+    first = {Text: "", Checkbox: False, Number: 0.0, NumberPair: (0.0, 0.0), NumberOrEmpty: 1.0}[element]
+    put: list[Any] = []
+    mount.show([element("Width", first, put.append, "")])
+    set_by_a_person(widgets(mount)[0], typed)
+    until(lambda: put == [got])
+
+
+def test_a_number_that_is_none_is_refused_with_its_name_and_limit(mount: Mount, page: Page):
+    put: list[Any] = []
+    mount.show([NumberOrEmpty("λc, µm", None, put.append, "", over=0.0)])
+    set_by_a_person(widgets(mount)[0], "-3")
+    until(lambda: bool(page.told))
+    assert page.told[0][1].startswith("λc, µm is -3: it must be over 0")
+    assert put == []
+
+
+def test_a_choice_may_get_other_options(mount: Mount):
+    mount.show([Dropdown("Compare with", "nothing", nothing, "", options=("nothing",))])
+    mount.show([Dropdown("Compare with", "before", nothing, "", options=("nothing", "before"))])
+    (choice,) = widgets(mount)
+    assert (choice.options, choice.value) == (("nothing", "before"), "before")
+
+
+def test_a_toggle_gives_the_key_of_its_title(mount: Mount):
+    put: list[str] = []
+    options = (("show", "Show"), ("hide", "Hide"))
+    mount.show([Toggle("Before it", "show", put.append, "", options=options)])
+    set_by_a_person(widgets(mount)[0], "Hide")
+    assert put == ["hide"]
+
+
+def test_only_what_differs_is_sent(mount: Mount, monkeypatch: pytest.MonkeyPatch):
+    state = [Html(Markup("<b>31.8</b>")), Text("Name", "", nothing, ""), Button("Keep", nothing, style="leading")]
+    mount.show(state)
+    sent: list[Any] = []
+    messages = mount._gui._websock_interface
+    monkeypatch.setattr(messages, "queue_message", sent.append)
+    mount.show([Html(Markup("<b>31.8</b>")), Text("Name", "", nothing, ""), Button("Keep", nothing, style="leading")])
+    assert sent == []
+    mount.show([Html(Markup("<b>31.9</b>")), *state[1:]])
+    assert len(sent) == 1
