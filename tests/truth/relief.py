@@ -48,6 +48,11 @@ class Relief:
         return float(np.median(np.diff(self.stack.z_um)))
 
     @property
+    def depth_um(self) -> float:
+        """Depth of field in um."""
+        return self.step_um / self.step_dof
+
+    @property
     def about(self) -> str:
         """The scene in a few words."""
         return (
@@ -56,14 +61,14 @@ class Relief:
         )
 
 
-def drawn_relief(seed: int, side: int = 160) -> Relief:
-    """The relief of a seed, `side` pixels wide."""
+def drawn_relief(seed: int, side: int = 160, name: str | None = None) -> Relief:
+    """The relief of a seed, `side` pixels wide; of a kind that is named, or that the seed gives."""
     rng = np.random.default_rng((seed, 23))
     na, step_dof = _log_uniform(rng, 0.14, 0.45), float(rng.uniform(0.2, 0.9))
     optics = Optics(na, bool(rng.random() < 0.5), VIEWS)
     depth_um = optics.wavelength_um / na**2
     step_um = step_dof * depth_um
-    name = RELIEFS[seed % len(RELIEFS)]
+    name = name or RELIEFS[seed % len(RELIEFS)]
     cone = np.sqrt(1 - na**2) / na
     slope = min(_log_uniform(rng, 1.0, 5.0) * step_um / (WINDOW_PX * PIXEL_UM), STEEPEST_CONE_SHARE * cone)
     height_um = _shape(name, (side, side), rng)
