@@ -164,9 +164,9 @@ class Transfer:
 class RayTransfer:
     """Disc of the rays out of focus, blurred by the Gaussian nearest to the Airy disc, and the area of a pixel."""
 
-    def __init__(self, shape: tuple[int, int], na: float) -> None:
+    def __init__(self, shape: tuple[int, int], na: float, pixel_um: float = PIXEL_UM) -> None:
         rows, cols = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
-        frequency = np.hypot(rows, cols) / PIXEL_UM
+        frequency = np.hypot(rows, cols) / pixel_um
         self._frequency, self._place = _different(frequency)
         diffraction = np.exp(-2 * (np.pi * AIRY_SIGMA * WAVELENGTH_UM / na * frequency) ** 2)
         self._focused = diffraction * np.sinc(rows) * np.sinc(cols)

@@ -7,11 +7,12 @@ bleed: what is judged is the uncertainty of measurements, not the gates along ed
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.fft import irfft2, rfft2
 
-from tests.truth.phase import WAVELENGTH_UM, Floats, Transfer
+from tests.truth.phase import TRANSFERS, WAVELENGTH_UM, Floats
 from tests.truth.shapes import texture
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
@@ -29,7 +30,8 @@ class Optics:
     """Lens, sweep, texture, noise and faults of a stack.
 
     step_dof: distance of frames in depths of field; contrast: standard deviation of the reflectance; full_well_e:
-    electrons at white; jitter_dof: standard deviation of a frame's z in depths of field; flicker: of its light.
+    electrons at white; jitter_dof: standard deviation of a frame's z in depths of field; flicker: of its light; lens:
+    whose transfer blurs (`phase`).
     """
 
     na: float
@@ -38,10 +40,15 @@ class Optics:
     full_well_e: float
     jitter_dof: float = 0.0
     flicker: float = 0.0
+    lens: Literal["waves", "rays"] = "waves"
 
     @property
     def depth_of_field_um(self) -> float:
         return WAVELENGTH_UM / self.na**2
+
+    @property
+    def step_um(self) -> float:
+        return self.step_dof * self.depth_of_field_um
 
 
 def drawn_optics(rng: np.random.Generator) -> Optics:
@@ -66,7 +73,8 @@ def stack_of(z_um: Floats, optics: Optics, rng: np.random.Generator, pixel_um: f
     gains = 1 + optics.flicker * rng.standard_normal(len(frames_um))
     unit_um = UNIT_DOF * depth_um
     last = int(np.ceil((high_um - low_um) / unit_um)) + 2
-    sharp, transfer = rfft2(texture(z_um.shape, rng) * optics.contrast), Transfer(z_um.shape, optics.na, pixel_um)
+    sharp = rfft2(texture(z_um.shape, rng) * optics.contrast)
+    transfer = TRANSFERS[optics.lens](z_um.shape, optics.na, pixel_um)
     blurred = np.stack([irfft2(sharp * transfer.at(n * unit_um), z_um.shape) for n in range(last)]).astype(np.float32)
     images = np.empty((len(frames_um), *z_um.shape), np.uint8)
     for k, (z, gain) in enumerate(zip(true_um, gains, strict=True)):

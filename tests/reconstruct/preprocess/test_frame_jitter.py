@@ -44,6 +44,16 @@ def test_sharp_frames_show_none(step_dof: float, flicker: float):
     assert found_in(stack).sigma_um < 0.02 * stack.z_step_um
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("step_dof", [0.6, 0.8, 0.9])
+def test_rays_that_few_frames_see_show_none(step_dof: float):
+    """A lens of rays is sharp in a single frame of a coarse sweep: no jitter, but curves of about one step."""
+    optics = dataclasses.replace(STILL, step_dof=step_dof, contrast=0.25, lens="rays")
+    found = [found_in(two_faces(optics, seed)).sigma_um / optics.step_um for seed in range(1010, 1016)]
+    assert max(found) < 0.02
+    assert np.mean(np.array(found) > 0) < 0.2
+
+
 def test_known_places_of_the_frames_are_no_jitter():
     jittering = two_faces(dataclasses.replace(STILL, jitter_dof=0.06), 3)
     assert found_in(jittering).sigma_um > 0
