@@ -55,6 +55,25 @@ ENOUGH_TO_SETTLE = 0.2
 JITTER_TOLD = 0.04
 """z jitter of single frames, in steps, from which a note tells it; less is in the uncertainties only."""
 
+FEW_HEIGHTS = 0.3
+"""Measured fraction of the covered pixels below which a note tells why, and what to change."""
+
+ADVICE: dict[Origin, str] = {
+    Origin.CLIPPED: "is too bright: shorten the exposure, or take a second, shorter one.",
+    Origin.NO_TEXTURE: "has no texture over the noise: give more light, from the side if possible, or another sweep if "
+    "the sample is never sharp.",
+    Origin.AMBIGUOUS: "has focus curves with several peaks, or wider than the focus width: give the aperture (NA) or "
+    "focus_width_um, or more light against noise.",
+    Origin.END_OF_RANGE: "is sharpest at an end of the sweep: start it lower or end it higher.",
+    Origin.WINDOWS_DISAGREE: "has other heights in a wider window: give more light against noise.",
+    Origin.BLEEDING_EDGE: 'lies beside edges over which light may bleed: on a sample without walls set edges = "none".',
+    Origin.OUTLIER: 'lies off the heights around it: give more light against noise, or set outliers.mode = "none".',
+    Origin.TOO_FEW_FRAMES: "lies outside of too many frames: reduce the drift of the stage, or add frames.",
+    Origin.STEP_EDGE: 'lies at edges of steps: on a sample without walls set edges = "none".',
+    Origin.NO_REASON: "has no reason: reconstruct its frames again.",
+}
+"""Reasons why most of a field is not measured, and what to change."""
+
 
 def reconstruct(
     stack: FieldStack, recipe: Recipe = Recipe(), progress: Progress | None = None, threads: int | None = None
@@ -309,11 +328,21 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
             z_step_um=field.frames.step_um,
             frame_health=health,
             positions_assumed=stack.positions_assumed,
-            notes=(*stack.notes, *field.frames.notes, *field.tuned.notes, *jitter_note),
+            notes=(*stack.notes, *field.frames.notes, *field.tuned.notes, *jitter_note, *few_heights(cleaned.origin)),
         ),
         u_um=uncertainty(field, corrected, cleaned, health),
         refused=cleaned.refused,
     )
+
+
+def few_heights(origin: NDArray[np.uint8]) -> tuple[str, ...]:
+    """Return a note with the most frequent reason of unmeasured pixels where few are measured; origin: `Origin`."""
+    count = np.bincount(origin.ravel(), minlength=max(Origin) + 1)
+    covered = origin.size - count[Origin.NOT_COVERED]
+    if count[Origin.MEASURED] >= FEW_HEIGHTS * covered:
+        return ()
+    reason = max(ADVICE, key=lambda reason: count[reason])
+    return (f"Under {100 * FEW_HEIGHTS:g} % of a field is measured; most of the rest {ADVICE[reason]}",)
 
 
 def uncertainty(
