@@ -41,11 +41,13 @@ NAME = "a.wafer"
 FEATURE = """
 [[features]]
 name = "step"
-nominal_um = 1.0
-lower_limit_um = -9.0
-upper_limit_um = 9.0
-upper = {kind = "rectangle", points = [[585, 550], [600, 560]]}
-lower = {kind = "rectangle", points = [[650, 550], [665, 560]]}
+nominal = 1.0
+lower_limit = -9.0
+upper_limit = 9.0
+places = [
+    {kind = "rectangle", points = [[585, 550], [600, 560]]},
+    {kind = "rectangle", points = [[650, 550], [665, 560]]},
+]
 """
 CALL = "tests.support.full_disk_calls"
 COMMANDS = {

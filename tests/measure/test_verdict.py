@@ -25,9 +25,9 @@ from wafer_viewer.model.job import WaferVerdict
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature
 from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.spec import replace
 
-DIE = Feature(name="die", nominal_um=30.0, lower_limit_um=29.0, upper_limit_um=31.0)
+DIE = Feature(name="die", nominal=30.0, lower_limit=29.0, upper_limit=31.0)
 SIMPLE = replace(DIE, decision_rule="simple_acceptance")
 
 
@@ -120,11 +120,10 @@ def test_a_region_of_the_wafer_is_found_on_the_stage():
 
 BLOCKS = Feature(
     name="blocks",
-    nominal_um=STEP_UM,
-    lower_limit_um=STEP_UM - 2,
-    upper_limit_um=STEP_UM + 2,
-    upper=Region.rectangle(-150, -50, -40, 50),
-    lower=Region.rectangle(40, -50, 150, 50),
+    nominal=STEP_UM,
+    lower_limit=STEP_UM - 2,
+    upper_limit=STEP_UM + 2,
+    places=(Region.rectangle(-150, -50, -40, 50), Region.rectangle(40, -50, 150, 50)),
 )
 
 
@@ -226,19 +225,6 @@ def test_a_quantity_that_is_not_there_or_in_another_unit_has_no_verdict(change, 
 def test_a_feature_that_nothing_can_be_measured_by_is_refused(change, words):
     with pytest.raises(PlanError, match=words):
         replace(FLAT, **change)
-
-
-def test_a_step_in_the_older_words_is_the_same_feature():
-    older = """
-        name = "blocks"
-        nominal_um = 399.88
-        lower_limit_um = 397.88
-        upper_limit_um = 401.88
-        upper = { kind = "rectangle", points = [[-150, -50], [-40, 50]] }
-        lower = { kind = "rectangle", points = [[40, -50], [150, 50]] }
-    """
-    assert decode(older, Feature, "older") == BLOCKS
-    assert decode(encode(BLOCKS), Feature, "newer") == BLOCKS
 
 
 def test_feature_without_a_place_or_a_die_has_no_verdict():

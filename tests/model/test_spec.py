@@ -28,7 +28,7 @@ JOB = Job(grid=GRID, sweep=FocusSweep(z_step_um=1.0, n_frames=60), sample=Sample
         GRID,
         JOB,
         Recipe(levy=Levy(mode="guided", iterations=12)),
-        Feature(name="bump", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0),
+        Feature(name="bump", nominal=12.0, lower_limit=11.0, upper_limit=13.0),
     ],
     ids=lambda s: type(s).__name__,
 )
@@ -117,9 +117,9 @@ def test_the_largest_uncertainty_is_doubled_once():
 
 
 def test_a_sample_of_an_older_file_has_no_size_where_it_says_zero():
-    older = decode("width_um = 0.0\nheight_um = 0.0\n", Sample, "older.toml")
-    assert (older.width_um, older.height_um, older.size_um) == (None, None, None)
-    assert older == Sample()
+    of_none = decode("width_um = 0.0\nheight_um = 0.0\n", Sample, "sample.toml")
+    assert (of_none.width_um, of_none.height_um, of_none.size_um) == (None, None, None)
+    assert of_none == Sample()
     given = Sample(width_um=12500, height_um=8000)
     assert given.size_um == (12500, 8000)
     assert decode(encode(given), Sample, "newer.toml") == given

@@ -155,7 +155,7 @@ def test_a_member_that_is_no_array_is_refused(tmp_path, read):
 def test_a_flipped_bit_of_a_mapped_height_is_found_when_a_surface_is_opened(tmp_path, sealed):
     path = tmp_path / "surface.npz"
     export(make_surface(), path)
-    if not sealed:  # as other programs and older versions write it
+    if not sealed:  # as other programs write it
         with np.load(path) as members:
             arrays = dict(members)
         np.savez(path, **arrays)

@@ -123,6 +123,13 @@ def test_dataset_of_a_newer_schema_is_refused_with_the_mend(data, monkeypatch):
         Dataset.open(data.path)
 
 
+def test_dataset_older_than_all_that_is_read_is_refused_with_the_mend(data):
+    record = data.path / "scan.json"
+    record.write_bytes(format_version.with_version(record.read_bytes(), 0))
+    with pytest.raises(DatasetError, match=rf"has format 0 .* reads formats 1 to {2 * SCHEMA}: import its frames"):
+        Dataset.open(data.path)
+
+
 def test_result_of_a_newer_schema_raises_the_number_of_its_dataset(data, monkeypatch):
     format_version.set_compressed(data.path, True)
     raise_number(monkeypatch)

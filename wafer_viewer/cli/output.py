@@ -203,8 +203,7 @@ def print_files(kinds: Iterable[KindReport]) -> None:
 def _without_checksum(title: str) -> str:
     from wafer_viewer.store.dataset.integrity import UNKNOWN
 
-    unknown, older = "of no kind that Wafer Viewer writes", "without a checksum (made by an older version)"
-    return unknown if title == UNKNOWN else older
+    return "of no kind that Wafer Viewer writes" if title == UNKNOWN else "without a checksum"
 
 
 def print_check(data: Dataset, report: CheckReport) -> None:

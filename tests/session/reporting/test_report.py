@@ -113,7 +113,7 @@ def test_the_report_contains_measurements_and_judgements(dataset):
 
 
 def a_verdict() -> WaferVerdict:
-    feature = Feature(name="die", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0)
+    feature = Feature(name="die", nominal=12.0, lower_limit=11.0, upper_limit=13.0)
     measured = Quantity(value=12.01, unit="um")
     judged = FeatureVerdict(feature=feature, measured=measured, word="inconclusive", why="No uncertainty.")
     return WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")

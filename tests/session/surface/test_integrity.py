@@ -203,7 +203,7 @@ def test_damaged_results_are_not_written_over(dataset):
             assert (result.path / name).read_bytes() == before
 
 
-def test_files_of_older_versions_are_read_and_named(dataset, tmp_path):
+def test_files_without_checksums_are_read_and_counted(dataset, tmp_path):
     older = tmp_path / "older.wafer"
     older.mkdir()
     for name in files_of(dataset):
@@ -216,11 +216,13 @@ def test_files_of_older_versions_are_read_and_named(dataset, tmp_path):
     result = Dataset.open(older).result()
     assert result.findings() == Dataset.open(dataset).result().findings()
     assert result.poses() is not None
+    with pytest.raises(DatasetError, match=r"r0000c0000\.npz has no checksum: make the surface again"):
+        result.field_mark(Dataset.open(older).fields[0])
     assert result.mosaic().window().shape == Dataset.open(dataset).result().mosaic().window().shape
 
 
 def without_checksum(content: bytes, name: str) -> bytes:
-    """A file as versions without checksums wrote it; shards had theirs always."""
+    """A file without its checksum; those of shards are part of Zarr."""
     if name.endswith(".npz"):
         return content[:-17] + b"\0\0"
     if name.endswith(".jsonl"):

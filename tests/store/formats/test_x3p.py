@@ -1,4 +1,4 @@
-"""X3P files of other programs, and those that this program wrote bottom row first."""
+"""X3P files of other programs and of this one."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.datasets.samples import make_surface
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.formats.conversion import export, read_surface
 
 Z = 0.1 * np.arange(30.0)[None, :] + 0.2 * np.arange(20.0)[:, None] ** 1.5
@@ -53,24 +54,17 @@ def test_first_row_is_top_edge(tmp_path, folder):
     assert (back.x0_um, back.y0_um, back.pixel_um) == pytest.approx((0, 0, 1))
 
 
-def test_files_written_bottom_row_first_are_recognised(tmp_path):
-    """As versions before wrote them: another Creator, y upward from the lowest row."""
-    export(surface := make_surface(x0_um=3.0, y0_um=700.0), new := tmp_path / "a.x3p")
-    assert read_surface(new).y0_um == pytest.approx(700)
-    rows, cols = surface.shape
-    with zipfile.ZipFile(new) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    heights = np.frombuffer(members["bindata/data.bin"], "<f8").reshape(rows, cols)
-    data, main = heights[::-1].tobytes(), members["main.xml"].decode()
-    low_y_m = (700.0 - (rows - 1) * surface.pixel_um) * 1e-6
-    main = main.replace("Wafer Viewer, top row first", "Wafer Viewer").replace("-0.0007", repr(low_y_m))
-    main = main.replace(hashlib.md5(heights.tobytes()).hexdigest(), hashlib.md5(data).hexdigest())
-    with zipfile.ZipFile(tmp_path / "b.x3p", "w") as archive:
-        archive.writestr("main.xml", main)
-        archive.writestr("bindata/data.bin", data)
-    old = read_surface(tmp_path / "b.x3p")
-    np.testing.assert_array_equal(old.z_um, surface.z_um)
-    assert (old.x0_um, old.y0_um) == pytest.approx((3, 700))
+def test_file_written_bottom_row_first_is_refused(tmp_path):
+    path = x3p(tmp_path / "a.x3p", doubles(), creator="Wafer Viewer")
+    with pytest.raises(DatasetError, match=r"a\.x3p begins with the bottom row, .* export its surface again"):
+        read_surface(path)
+
+
+def test_exported_surface_keeps_its_place(tmp_path):
+    export(surface := make_surface(x0_um=3.0, y0_um=700.0), path := tmp_path / "a.x3p")
+    back = read_surface(path)
+    np.testing.assert_array_equal(back.z_um, surface.z_um)
+    assert (back.x0_um, back.y0_um) == pytest.approx((3, 700))
 
 
 @pytest.mark.parametrize("program", ["SurfaceTopography", "surfalize"])

@@ -25,11 +25,10 @@ MARKS = Marks(
 )
 DIE = Feature(
     name="die over street",
-    nominal_um=30.0,
-    lower_limit_um=29.5,
-    upper_limit_um=30.5,
-    upper=Region.rectangle(560, 500, 640, 560),
-    lower=Region.rectangle(505, 500, 535, 560),
+    nominal=30.0,
+    lower_limit=29.5,
+    upper_limit=30.5,
+    places=(Region.rectangle(560, 500, 640, 560), Region.rectangle(505, 500, 535, 560)),
 )
 
 

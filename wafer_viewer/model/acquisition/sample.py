@@ -69,7 +69,7 @@ class Alignment(Spec, frozen=True, kw_only=True):
 class Sample(Spec, frozen=True, kw_only=True):
     """Identification of the sample, entered before a real scan and preset for the virtual rig.
 
-    width_um, height_um: size of its outline; None if not given (0 in files of older versions).
+    width_um, height_um: size of its outline; None, also for 0, if not given.
     """
 
     name: str = ""

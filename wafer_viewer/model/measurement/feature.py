@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import msgspec
-
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
@@ -24,8 +22,6 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
     measured `per_die`, in um from the corner of a die. Without them it is not measured automatically. quantity: a field
     of the result, such as ``flt_q``; empty for the main one. unit: of nominal and limits; a missing limit is open.
     options: of the tool; None for the defaults.
-
-    A step height may also be given in the older form, with upper, lower, nominal_um, lower_limit_um, upper_limit_um.
     """
 
     name: str
@@ -39,15 +35,9 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
     per_die: bool = False
     places: tuple[Region, ...] = ()
     options: ToolOptions | None = None
-    nominal_um: float | None = None
-    lower_limit_um: float | None = None
-    upper_limit_um: float | None = None
-    upper: Region | None = None
-    lower: Region | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._take_over_older_words()
         if self.lower_limit is None and self.upper_limit is None:
             self.refuse("upper_limit", f"a number in {self.unit}, or else lower_limit: by one of them it is judged")
         if self.lower_limit is not None and self.upper_limit is not None and self.upper_limit <= self.lower_limit:
@@ -72,20 +62,6 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
     def measures(self) -> tuple[Any, ...]:
         """Key of the measured number: features with equal keys have the same number."""
         return self.tool, self.quantity, self.places, self.per_die, self.options or ToolOptions()
-
-    def _take_over_older_words(self) -> None:
-        """Convert fields of the older form to the current ones."""
-        if (self.upper is None) != (self.lower is None):
-            self.refuse("lower" if self.lower is None else "upper", "a region, as the other one is")
-        if self.upper is not None and self.lower is not None:
-            self._put(places=(self.upper, self.lower), upper=None, lower=None)
-        for name in ("nominal", "lower_limit", "upper_limit"):
-            if (older := getattr(self, f"{name}_um")) is not None:
-                self._put(**{name: older, f"{name}_um": None})
-
-    def _put(self, **values: Any) -> None:
-        for name, value in values.items():
-            msgspec.structs.force_setattr(self, name, value)
 
     def _require_places(self, n: int) -> None:
         """Refuse regions of the wrong number or kind; rectangle, polygon and circle may replace each other."""

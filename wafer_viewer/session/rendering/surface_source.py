@@ -115,7 +115,7 @@ def points_of(field: PlacedField, box_um: Box, datum: Datum | None = None, every
     Returns
     -------
     RefusedPoints or None
-        None where the surface was made before refused heights were kept.
+        None where its file has none.
     """
     refused = field.height_map.refused
     if refused is None:

@@ -2,7 +2,7 @@
 
 The axis of a pass moves at constant speed, so the device times of its frames are linear in the scale counts of their
 pulses. A frame in a neighbour's slot deviates by a full pulse period, which shows in the journal alone, also in
-datasets of older programs. The test does not apply to stop and shoot, and does not detect a constant shift of a pass.
+datasets of schema 1. The test does not apply to stop and shoot, and does not detect a constant shift of a pass.
 """
 
 from __future__ import annotations
@@ -440,7 +440,7 @@ class Dataset:
             )
 
     def _require_good_tags(self, field: Field, expected: int | None) -> None:
-        """Raise DatasetError when the bytes around the pages changed; older datasets have no such checksum."""
+        """Raise DatasetError when the bytes around the pages changed; in schema 1 it may have no checksum."""
         path = frames_file(self.path, field)
         if expected is not None and tags_crc32c(path, self.scan.pages(field)) != expected:
             raise DatasetError(

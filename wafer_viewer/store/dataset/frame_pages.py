@@ -125,8 +125,7 @@ def write_header(path: Path, shape: PageShape, text: bytes, crc: int | None = No
     Returns
     -------
     bool
-        False, with nothing written, when the file is compressed, is damaged, or has no room for the text, as files of
-        older versions.
+        False, with nothing written, when the file is compressed, is damaged, or has no room for the text.
 
     Raises
     ------

@@ -163,12 +163,10 @@ class Result:
     def field_mark(self, field: Field) -> int:
         """Return a number that identifies the content of the surface of a field, as `Poses.marks` have it.
 
-        It is the checksum in the file, below 2^32; for files of older versions without one, their time.
-        Raises DatasetError if the surface is missing.
+        It is the checksum in the file. Raises DatasetError if the surface is missing or has none.
         """
         with self._surface_of(field) as path:
-            checksum = stored_checksum(path)
-            return path.stat().st_mtime_ns if checksum is None else checksum
+            return stored_checksum(path)
 
     @contextmanager
     def _surface_of(self, field: Field) -> Generator[Path]:

@@ -38,7 +38,7 @@ from wafer_viewer.store.io.checksums import (
     strip_checksum,
     text_state,
 )
-from wafer_viewer.store.io.format_version import RECORD, SCHEMA, is_compressed, version_of
+from wafer_viewer.store.io.format_version import RECORD, SCHEMA, is_compressed, require_readable, version_of
 from wafer_viewer.store.io.guarded_reading import read_content
 
 FRAMES, JOURNAL, RESULTS = "frames", "journal.jsonl", "results"
@@ -58,8 +58,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     schema_version: format version, even when frame files may be compressed; bits: 8, or up to 16 stored in 16; taken:
     start of the scan, ISO 8601; positioners: positions of light, objective, zoom, tilts and rotation at its start, as
     far as they are motorised; imported_from: source of imported images, empty for a scan; frame_tag_checksums: CRC-32C
-    of all bytes outside the pages in the file of each field, in the order of the fields, empty in datasets of older
-    versions.
+    of all bytes outside the pages in the file of each field, in the order of the fields.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -140,7 +139,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
         return self.calibration.problem(self.setup, today)
 
     def tags_crc32c(self) -> dict[int, int]:
-        """Return the CRC-32C of the bytes outside the pages, by field number; empty for older versions."""
+        """Return the CRC-32C of the bytes outside the pages, by field number; datasets of schema 1 may have none."""
         return dict(zip((field.number for field in self.plan.fields), self.frame_tag_checksums, strict=False))
 
     def page_of(self, k: int, exposure: int) -> int:
@@ -179,12 +178,7 @@ def _record(folder: Path) -> ScanRecord:
     text = _record_text(folder)
     if text_state(text) is Checksum.DAMAGED:
         raise damaged(folder / RECORD)
-    version, newest = _schema_version(text), version_of(SCHEMA, compressed=True)
-    if version > newest:
-        raise DatasetError(
-            f"{folder} has format {version} and this program reads formats up to {newest}: "
-            "open it with a newer Wafer Viewer."
-        )
+    require_readable(folder, _schema_version(text))
     return decode(strip_checksum(text), ScanRecord, str(folder / RECORD), "json")
 
 
@@ -197,21 +191,21 @@ def _record_text(folder: Path) -> bytes:
 
 
 class _Version(msgspec.Struct):
-    schema_version: int = 0
+    schema_version: int
 
 
 def _schema_version(text: bytes) -> int:
-    """Return the format version, so that a newer format is not reported as damage; 0 if unreadable."""
+    """Return the format version, so that another format is not reported as damage; the present one if unreadable."""
     with suppress(DatasetError), parser_errors_as(lambda _: DatasetError("The version cannot be read.")):
         return msgspec.json.decode(text, type=_Version).schema_version
-    return 0
+    return version_of(SCHEMA, compressed=False)
 
 
 class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=True):
     """Start of a leg.
 
     provisional: the frames count only once the pass has ended, and those that are later reported as missed do not.
-    Older programs counted every frame at once.
+    Otherwise, as in schema 1, every frame counts at once.
     """
 
     number: int
@@ -500,7 +494,7 @@ class JournalWriter:
 
 
 def _decoded_lines(text: bytes) -> list[Line] | None:
-    """Decode complete lines together, in half the time; None if one is damaged or, as in older journals, unsealed."""
+    """Decode complete lines together, in half the time; None if one is damaged or unsealed."""
     lines = text.split(b"\n")[:-1]
     if not lines_are_good(lines):
         return None

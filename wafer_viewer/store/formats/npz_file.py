@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 OPTIONAL = ("overlap_um", "u_um")
-"""Layers that not every surface has; older files lack u_um."""
+"""Layers that not every surface has."""
 THINNED = ("u_um",)
 """Those of them that every n-th pixel of a surface keeps."""
 REFUSED = {"at": "refused_at", "z_um": "refused_z_um", "reason": "refused_reason"}
-"""Attributes of `RefusedHeights` and their keys; older files have none of them."""
+"""Attributes of `RefusedHeights` and their keys."""
 PLACE = ("pixel_um", "x0_um", "y0_um")
 
 
@@ -130,7 +130,7 @@ def _unreadable(path: Path, fault: Exception) -> DatasetError:
 
 
 def _read_refused(archive: Archive) -> RefusedHeights | None:
-    """Read the refused heights; None in older files without them."""
+    """Read the refused heights; None in files without them."""
     if REFUSED["at"] not in archive:
         return None
     return RefusedHeights(**{name: archive.mapped(key) for name, key in REFUSED.items()})

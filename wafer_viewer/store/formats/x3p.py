@@ -1,9 +1,9 @@
 """X3P, ISO 25178-72 (revision ISO5436_2000): a zip of main.xml, the heights, and their MD5 checksums.
 
 Lengths are in m. In this revision the first row is the top edge and y points downward, as Gwyddion, MountainsMap,
-surfalize and SurfaceTopography take it, so the Offset of CY is minus the stage y of the first row. Earlier versions of
-this program wrote the bottom row first, y upward; they have another Creator. Implemented here and not with x3pio, which
-holds several copies of the heights in memory and supports neither stopping nor progress; the tests compare the two.
+surfalize and SurfaceTopography take it, so the Offset of CY is minus the stage y of the first row. Implemented here and
+not with x3pio, which holds several copies of the heights in memory and supports neither stopping nor progress; the
+tests compare the two.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
 REVISION = "ISO5436 - 2000"
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
 CREATOR = "Wafer Viewer, top row first"
-_BOTTOM_FIRST = "Wafer Viewer"
-"""Creator of the files that begin with the bottom row."""
+_UNREAD_CREATOR = "Wafer Viewer"
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 _M = 1e-6
 _LARGEST_XML = 16_000_000
@@ -73,18 +72,17 @@ def _read(archive: zipfile.ZipFile, main: ElementTree.Element, options: ReadOpti
         raise options.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
     dx_um, dy_um = options.pitches_um(dx[0] / _M, dy[0] / _M)
     creator = _text(main, "Record2/Creator")
+    if creator == _UNREAD_CREATOR:
+        raise options.refuse("begins with the bottom row, as no released version wrote it: export its surface again.")
     m_um = options.z_scale_um("m")
-    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, options, is_ours=creator in (CREATOR, _BOTTOM_FIRST))
-    y0_um = -dy[1] / _M
-    if creator == _BOTTOM_FIRST:
-        z_um, y0_um = z_um[::-1].copy(), (z_um.shape[0] - 1) * dy_um - y0_um
-    elif (revision := _text(main, "Record1/Revision")) not in (REVISION, None):
+    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, options, is_ours=creator == CREATOR)
+    if (revision := _text(main, "Record1/Revision")) not in (REVISION, None):
         options.notes.append(f"Its first row was taken as the top edge: check that, its revision is {revision}.")
     z_um, pixel_um = on_square_pixels(options, z_um, dx_um, dy_um)
     for_people, _, embedded = (_text(main, "Record2/Comment") or "").partition("\n")
     model = _text(main, "Record2/Instrument/Model")
     came_from = provenance_of(parse_metadata(embedded), embedded, for_people, model)
-    return heights_only(options, z_um, pixel_um, dx[1] / _M, y0_um, came_from)
+    return heights_only(options, z_um, pixel_um, dx[1] / _M, -dy[1] / _M, came_from)
 
 
 def _main(strips: Strips, digest: str) -> bytes:

@@ -2,8 +2,8 @@
 
 A JSON text and a line of a log end with the member ``"crc32c"``: eight hex digits over all bytes before them. An
 ``.npz`` ends with ``crc32c=`` and such digits as the comment of the archive. Shards and chunks of a mosaic have the
-codec ``crc32c`` of Zarr. Files of older versions have no checksum and are read as they are. Any single flipped bit is
-detected, also in the checksum itself.
+codec ``crc32c`` of Zarr. Files without a checksum, of schema 1, of another program or written by hand, are read as they
+are. Any single flipped bit is detected, also in the checksum itself.
 
 A torn last line, as after a power failure, is ignored and truncated before the next entry.
 """
@@ -212,12 +212,17 @@ def seal_archive(path: Path) -> None:
         file.write(b"%08x" % crc)
 
 
-def stored_checksum(path: Path) -> int | None:
-    """Return the checksum in an ``.npz``, untested, as a number that identifies its content; None without one."""
+def stored_checksum(path: Path) -> int:
+    """Return the checksum in an ``.npz``, untested, as a number that identifies its content.
+
+    Raises DatasetError when it has none.
+    """
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - _COMMENT_BYTES))
         comment = _COMMENT.search(file.read())
-    return None if comment is None else int(comment[1], 16)
+    if comment is None:
+        raise DatasetError(f"{path} has no checksum: {remedy(path)}.")
+    return int(comment[1], 16)
 
 
 def archive_state(path: Path) -> Checksum:
@@ -235,7 +240,7 @@ def archive_state(path: Path) -> Checksum:
 def require_good_archive(path: Path) -> None:
     """Raise DatasetError when the checksum of an ``.npz`` differs; an unchanged file is read once.
 
-    A file without a checksum of its own, of an older version or another program, has those of its zip members.
+    A file without a checksum of its own has those of its zip members.
     """
     key = file_mark(path)
     if key in _good_archives:

@@ -1,6 +1,11 @@
 """Format version of a dataset: the number of the keys of all that is stored in it, and whether it may be compressed.
 
-It stands in ``scan.json``, so that an older program says that it is too old, not that a file is damaged.
+It stands in ``scan.json``, so that an older program says that it is too old, not that a file is damaged. Every schema
+from `OLDEST` on is read:
+
+- 1: manifests without the lengths of logs. Its first datasets have no manifests, no checksums in ``scan.json``, journal
+  and tags of frames, no provisional passes, and 0 for a size of the sample that is not given.
+- 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has.
 """
 
 from __future__ import annotations
@@ -8,12 +13,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import MOST_RECORD_BYTES, Checksum, sealed_text, strip_checksum, text_state
 from wafer_viewer.store.io.guarded_reading import read_content
 
-SCHEMA = 2
-"""Number of the keys of all structs in a dataset: it rises with every key that is added, removed or renamed.
+OLDEST, SCHEMA = 1, 3
+"""Oldest number that is read, and that of the keys of all structs in a dataset: it rises with every key that is added,
+removed or renamed.
 
 tests/store/schemas.json holds the keys of each number.
 """
@@ -36,6 +43,15 @@ def is_compressed(version: int) -> bool:
 def schema_of(version: int) -> int:
     """Return the schema of a format version."""
     return (version + 1) // 2
+
+
+def require_readable(folder: Path, version: int) -> None:
+    """Raise DatasetError when a dataset has a format that this program does not read."""
+    oldest, newest = version_of(OLDEST, compressed=False), version_of(SCHEMA, compressed=True)
+    if not oldest <= version <= newest:
+        mend = "open it with a newer Wafer Viewer" if version > newest else "import its frames into a new dataset"
+        formats = f"{oldest} to {newest}"
+        raise DatasetError(f"{folder} has format {version} and this program reads formats {formats}: {mend}.")
 
 
 def set_compressed(folder: Path, compressed: bool) -> None:

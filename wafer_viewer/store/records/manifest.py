@@ -310,7 +310,7 @@ def load_record(path: Path, kind: type[S], *, trusted: bool = False) -> S:
 
 
 def require_as_saved(path: Path, *, trusted: bool = False) -> None:
-    """Raise DatasetError when a record of a result is not the one that was saved; older results have no manifest."""
+    """Raise DatasetError when a record of a result is not the one that was saved, as far as there is a manifest."""
     place = _Place(path.parent)
     if not (place.of and place.is_of_dataset) or (manifest := place.read()) is None:
         return
