@@ -57,7 +57,7 @@ def show(folder: Path, names: list[str] | None, n_dearest: int, *, quick: bool) 
     for part in SIMULATION if quick else PARTS:
         if names and part.name not in names:
             continue
-        taken = took(part.run).processor_s
+        taken = took(part.compile).processor_s
         kept = len(list(folder.rglob("*.nbc")))
         print(f"{part.name:<26}{compiled.count - n_before:>12}{kept - n_kept:>8}{taken:>15.1f} s", flush=True)
         n_before, n_kept = compiled.count, kept

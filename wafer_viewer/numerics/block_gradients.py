@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.numerics.block_sums import N_LINES, N_SHADING, Numbers
-from wafer_viewer.numerics.jit import Float64s, Int, Int64s, lean_kernel
+from wafer_viewer.numerics.jit import Float64s, Int, Int64s, lean_kernel, lean_part
 
 LOOSE_PX = 1000.0
 """Standard uncertainty of a lag along lines, where nothing determines it."""
@@ -205,7 +205,7 @@ def _fill_gradients(
     return n
 
 
-@lean_kernel
+@lean_part
 def _without_shading(matrix: Float64s) -> None:
     """Take what 1, row and column explain of a block off the products of values and slopes."""
     solid = _SOLID * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
@@ -220,7 +220,7 @@ def _without_shading(matrix: Float64s) -> None:
                 matrix[k, j] = matrix[j, k]
 
 
-@lean_kernel
+@lean_part
 def _median(values: Float64s, room: Float64s) -> float:
     n = values.size
     if n == 0:
@@ -230,7 +230,7 @@ def _median(values: Float64s, room: Float64s) -> float:
     return (ordered[(n - 1) // 2] + ordered[n // 2]) / 2
 
 
-@lean_kernel
+@lean_part
 def _sort(values: Float64s, ordered: Float64s) -> None:
     n = values.size
     for i in range(n):
@@ -324,7 +324,7 @@ def _fill_covariance(
                     known[a, b] += by[a, i] * spread[i, j] * by[b, j]
 
 
-@lean_kernel
+@lean_part
 def _project(block_pull: Float64s, block_stiffness: Float64s, held: Float64s, pull: Float64s, stiff: Float64s) -> None:
     """Fill the gradients and the stiffness of blocks along the determined directions, [n, k]."""
     for b in range(pull.shape[0]):
@@ -336,7 +336,7 @@ def _project(block_pull: Float64s, block_stiffness: Float64s, held: Float64s, pu
                     stiff[b, j] += held[i, j] * block_stiffness[b, i, m] * held[m, j]
 
 
-@lean_kernel
+@lean_part
 def _invert(matrix: Float64s, inverse: Float64s) -> bool:
     """Invert a positive definite matrix, [1, 1] or [2, 2]; return whether it is not singular."""
     if matrix.shape[0] == 1:
@@ -351,7 +351,7 @@ def _invert(matrix: Float64s, inverse: Float64s) -> bool:
     return True
 
 
-@lean_kernel
+@lean_part
 def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -> None:
     """Write the variance of the shifts of blocks beyond that of noise, which shifts between neighbours show.
 
@@ -373,7 +373,7 @@ def _fill_drift(pull: Float64s, stiff: Float64s, index: Int64s, out: Float64s) -
         out[j] = (total - between / n_pairs * (n - 1)) / of_all if n_pairs > 0 else math.nan
 
 
-@lean_kernel
+@lean_part
 def _fill_spread(pull: Float64s, index: Int64s, n_rows: Int, n_cols: Int, room: Float64s, out: Float64s) -> None:
     """Sum up the squares of the sums over clusters of n_rows x n_cols blocks."""
     across, k = room.shape[0], pull.shape[1]
@@ -493,7 +493,7 @@ def _fit_bend(
                 sums[k] += inverse[k, p] * spread[p, q] * inverse[k, q]
 
 
-@lean_kernel
+@lean_part
 def _invert_in_place(matrix: Float64s, inverse: Float64s) -> None:
     """Fill the inverse of a positive definite matrix, which is overwritten (Gauss and Jordan)."""
     n = matrix.shape[0]
@@ -513,7 +513,7 @@ def _invert_in_place(matrix: Float64s, inverse: Float64s) -> None:
                     inverse[k, j] -= part * inverse[i, j]
 
 
-@lean_kernel
+@lean_part
 def _fill_bend(
     basis: Float64s,
     pull: Float64s,

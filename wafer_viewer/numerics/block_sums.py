@@ -126,7 +126,7 @@ def _fill_sums(
     _to_blocks(sums, cols, out)
 
 
-@lean_kernel
+@lean_part
 def _to_blocks(sums: Float32s, cols: Float64s, out: Float64s) -> None:
     """Convert sums over the rows of a band, [band, product, col], to symmetric matrices with a line for the column.
 
@@ -174,7 +174,7 @@ def _second_moment(row: Float32s, cols: Float64s) -> float:
     return total
 
 
-@lean_kernel
+@lean_part
 def _sum(
     first: Float32s,
     first_valid: Float32s,

@@ -26,6 +26,7 @@ _COUNTED: dict[str, Any] = {"no_cfunc_wrapper": True}
 _UNCOUNTED: dict[str, Any] = {"_nrt": False, **_COUNTED}  # numba's runtime with reference counts, missing in its stubs
 _LEAN: dict[str, Any] = {"error_model": "numpy", **_UNCOUNTED}
 _PART: dict[str, Any] = {"no_cpython_wrapper": True, **_LEAN}
+_FAST_PART: dict[str, Any] = {"fastmath": True, "no_cpython_wrapper": True, **_COUNTED}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -81,6 +82,11 @@ def kernel(function: F) -> F:
 def fast_kernel(function: F) -> F:
     """Compile a `kernel` with reordered float arithmetic; not for code that tests for NaN."""
     return _cached(function, fastmath=True, **_COUNTED)
+
+
+def fast_part(function: F) -> F:
+    """Compile a part of `fast_kernel`s, which keep it; without a wrapper: Python must not call it."""
+    return cast(F, numba.njit(**_FAST_PART)(function))
 
 
 def bare_kernel(function: F) -> F:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, kernel, lean_kernel
+from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, kernel, lean_kernel, lean_part
 
 LINE_REACH_PX = 5
 """Half length of a line: on its 11 pixels, a feature of up to 5 pixels is a minority."""
@@ -131,7 +131,7 @@ def _middle_medians(padded: Float32s, rows: Int64s, cols: Int64s, scratch: Float
         out[n] = np.float32(0.5) * (medians[1] + medians[2])
 
 
-@lean_kernel
+@lean_part
 def insert_sorted(values: Float32s, count: Int, v: Real) -> int:
     """Insert v into the first `count` values, which ascend; return the new count."""
     position = count

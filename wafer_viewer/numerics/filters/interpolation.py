@@ -9,7 +9,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.filters.sliding_filters import box_mean
-from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, inlined_part, lean_kernel
+from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, inlined_part, lean_kernel, lean_part
 
 # --------------------------------------------------------------------------------------------------------- local planes
 
@@ -171,7 +171,7 @@ def _fill_run(row: Float32s, knots: Float64s, count: Int, bend: Float64s, factor
         _spline(row, knots, count, bend, factor)
 
 
-@lean_kernel
+@lean_part
 def _spline(row: Float32s, knots: Float64s, count: Int, bend: Float64s, factor: Float64s) -> None:
     """Solve for the second derivatives at the measured pixels, zero at both ends, then interpolate."""
     last = count - 1

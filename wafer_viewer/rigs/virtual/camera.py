@@ -20,7 +20,7 @@ from wafer_viewer.model.acquisition.devices import CameraImage, Position
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus, Image
 from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.optics.blur import Plane
@@ -301,7 +301,7 @@ def expose(
             out[y, x] = min(max(count, np.float32(0)), white)
 
 
-@fast_kernel
+@fast_part
 def scattered(seed: int, row: int) -> np.uint64:
     """Return a 64-bit hash of a seed and a row (the finalizer of splitmix64)."""
     h = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(row) * np.uint64(0xD1B54A32D192ED03)

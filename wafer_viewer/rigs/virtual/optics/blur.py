@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes.catalogue import SceneWindow
 from wafer_viewer.rigs.virtual.scenes.drawing import SceneSheets
 
@@ -61,7 +61,7 @@ def convolve(plane: Plane, half: Plane, out: Plane) -> None:
         along_row(line, half, out[y])
 
 
-@fast_kernel
+@fast_part
 def down_columns(plane: Plane, y: int, half: Plane, out: Plane) -> None:
     """Blur one row of the plane along the columns."""
     last = plane.shape[0] - 1
@@ -76,7 +76,7 @@ def down_columns(plane: Plane, y: int, half: Plane, out: Plane) -> None:
             out[x] += near * (up[x] + down[x]) + far * (farther_up[x] + farther_down[x])
 
 
-@fast_kernel
+@fast_part
 def along_row(line: Plane, half: Plane, out: Plane) -> None:
     """Blur a line that has a margin on both sides."""
     reach = half.size - 1

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.optics.blur import (
     COVER,
     FINE_MARGIN,
@@ -174,7 +174,7 @@ def compose_rows(
         join_row(z, law, a, b, seen, plan.sees, out[y])
 
 
-@fast_kernel
+@fast_part
 def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: CompositionPlan) -> None:
     """Set the levels and visible sheets of every stretch of row y."""
     for s in range(plan.sees.size):
@@ -191,7 +191,7 @@ def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: Compos
             plan.sees[s] = SEES_BOTH
 
 
-@fast_kernel
+@fast_part
 def level_range(z: np.float32, law: Law, lowest: np.float32, highest: np.float32) -> tuple[int, int, np.float32]:
     """Return (lowest level, highest level, greatest variance) for a range of heights."""
     one, other = z - lowest, z - highest
@@ -201,7 +201,7 @@ def level_range(z: np.float32, law: Law, lowest: np.float32, highest: np.float32
     return level_below(law, law.sharpest_px2 + law.widening * least * least), level_below(law, widest), widest
 
 
-@fast_kernel
+@fast_part
 def level_below(law: Law, variance: np.float32) -> int:
     """Return the last level that is no wider than a variance and is not the last of all."""
     level = 0
@@ -210,7 +210,7 @@ def level_below(law: Law, variance: np.float32) -> int:
     return level
 
 
-@fast_kernel
+@fast_part
 def read_row(levels: BlurLevels, law: Law, y: int, plan: CompositionPlan, lines: Plane) -> None:
     """Read row y of every needed level, each once."""
     needed = np.zeros((lines.shape[0], lines.shape[1]), np.bool_)
@@ -229,7 +229,7 @@ def read_row(levels: BlurLevels, law: Law, y: int, plan: CompositionPlan, lines:
                 read_coarse(levels, channel, level - law.n_fine, y, lines[channel, level])
 
 
-@fast_kernel
+@fast_part
 def read_fine(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) -> None:
     """Read row y of a fine level."""
     row = levels.fine[channel, level, y]
@@ -237,7 +237,7 @@ def read_fine(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) 
         out[x] = np.float32(row[x]) * UNPACK
 
 
-@fast_kernel
+@fast_part
 def read_coarse(levels: BlurLevels, channel: int, level: int, y: int, out: Plane) -> None:
     """Read row y of a coarse level, by linear interpolation between its lattice samples."""
     scale, width = levels.scale[level], levels.width[level]
@@ -257,7 +257,7 @@ def read_coarse(levels: BlurLevels, channel: int, level: int, y: int, out: Plane
         out[x] = samples[i] + weight[x] * (samples[i + 1] - samples[i])
 
 
-@fast_kernel
+@fast_part
 def look_along(
     z: np.float32,
     law: Law,
@@ -295,7 +295,7 @@ def look_along(
                 out[x] = lines[level, x] + share * (lines[level + 1, x] - lines[level, x])
 
 
-@fast_kernel
+@fast_part
 def join_row(
     z: np.float32, law: Law, height_a: Plane, height_b: Plane, seen: VisibleScene, sees: NDArray[np.int64], out: Plane
 ) -> None:
@@ -317,13 +317,13 @@ def join_row(
                     out[x] = over(light_b[x], ONE - cover_b[x], light_a[x], cover_a[x], rho)
 
 
-@fast_kernel
+@fast_part
 def correlation(sharpest: np.float32, widening: np.float32, a: np.float32, b: np.float32) -> np.float32:
     """Return the correlation of the blur spots of two points, a and b um out of focus: 1 alike, -1 mirrored."""
     return widening * a * b / math.sqrt((sharpest + widening * a * a) * (sharpest + widening * b * b))
 
 
-@fast_kernel
+@fast_part
 def over(
     front_light: np.float32, front: np.float32, back_light: np.float32, back: np.float32, rho: np.float32
 ) -> np.float32:

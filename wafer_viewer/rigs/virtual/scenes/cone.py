@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, grain
 
 HEIGHT_UM, SLOPE = 120.0, 0.30
@@ -27,7 +27,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
             out.cover[r, c] = 1.0
 
 
-@fast_kernel
+@fast_part
 def turned_metal(x: float, y: float) -> float:
     """Return the radiance of a turned surface: grain and rings."""
     out, around = math.sqrt(x * x + y * y), math.atan2(y, x)

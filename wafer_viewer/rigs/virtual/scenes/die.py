@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_part
 from wafer_viewer.rigs.virtual.scenes.drawing import bar, bars, blend, chance, inside, rectangle
 
 ROWS = {  # seven rows from the top
@@ -39,13 +39,13 @@ LEFT_UM, TOP_UM, LINE_UM = 7.0, 66.0, 28.0
 LETTER_R, LETTER_C, SPACE = CODES["R"], CODES["C"], CODES[" "]
 
 
-@fast_kernel
+@fast_part
 def product_letter(place: int) -> int:
     """Return the code of a letter of the product name; a space past its end."""
     return PRODUCT[place] if 0 <= place < len(PRODUCT) else SPACE
 
 
-@fast_kernel
+@fast_part
 def place_letter(place: int, column: int, row: int) -> int:
     """Return the code of a letter of the die position, as in R07C06; digits are their own codes. Row -1 has none."""
     number = row if place < 3 else column
@@ -57,7 +57,7 @@ def place_letter(place: int, column: int, row: int) -> int:
     return number // 10 % 10 if digit == 1 else number % 10
 
 
-@fast_kernel
+@fast_part
 def glyph(code: int, x: float, y: float, footprint: float) -> float:
     """Return the ink of one letter at x in [0, 5) and y in [0, 7), in squares, y from the top."""
     ink = 0.0
@@ -68,7 +68,7 @@ def glyph(code: int, x: float, y: float, footprint: float) -> float:
     return ink
 
 
-@fast_kernel
+@fast_part
 def two_lines(u: float, v: float, column: int, row: int, footprint: float) -> float:
     """Return the ink of the product name above the die position, in a block 92 um wide and 90 um high.
 
@@ -98,7 +98,7 @@ MEMORY, LINES_UP, LOGIC, BLANK, LOGIC_2, LETTERS, LINES_ACROSS, MEMORY_2 = range
 MARK_X, MARK_Y = np.arange(11, 13)
 
 
-@fast_kernel
+@fast_part
 def die(u: float, v: float, column: int, row: int, inset: float, footprint: float) -> tuple[float, float, float]:
     """Return (radiance, rise_um, contrast) of the die at (u, v).
 
@@ -114,26 +114,26 @@ def die(u: float, v: float, column: int, row: int, inset: float, footprint: floa
     return core(u - CORE_LEFT_UM, v - CORE_BOTTOM_UM, column, row, footprint)
 
 
-@fast_kernel
+@fast_part
 def bevel_drop(inset: float) -> float:
     """Return the depth of the sawn edge below the die's top in um."""
     return BEVEL_SLOPE * max(0.0, BEVEL_UM - abs(inset))
 
 
-@fast_kernel
+@fast_part
 def rim(inset: float) -> tuple[float, float, float]:
     """Return (radiance, rise_um, contrast) of the sawn bevel and the bare rim inside it, dark and without grain."""
     return blend(0.022, 0.045, inside(inset - BEVEL_UM, 2.0)), -bevel_drop(inset), 0.0
 
 
-@fast_kernel
+@fast_part
 def seal_ring(inset: float, footprint: float) -> tuple[float, float, float]:
     """Return (radiance, rise_um, contrast) of two metal lines around the die."""
     metal = bar(inset, 21.0, 23.6, footprint) + bar(inset, 26.5, 29.1, footprint)
     return 0.075 + 0.42 * metal, 0.6 * metal, 0.03 + 0.08 * metal
 
 
-@fast_kernel
+@fast_part
 def pad(u: float, v: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
     """Return (radiance, rise_um, contrast) of a row of bond pads; v from the bottom of the row.
 
@@ -150,7 +150,7 @@ def pad(u: float, v: float, column: int, row: int, footprint: float) -> tuple[fl
     return radiance, (0.9 - 0.5 * mark) * metal, 0.03 + 0.06 * metal + 0.12 * mark
 
 
-@fast_kernel
+@fast_part
 def probe_mark(x: float, y: float, number: int, salt: int, footprint: float) -> float:
     """Return the coverage of the elliptical mark of a probe needle near the centre of a pad."""
     across = (x - PAD_UM / 2 - 6.0 * (chance(number, salt, MARK_X) - 0.5)) / 3.2
@@ -158,7 +158,7 @@ def probe_mark(x: float, y: float, number: int, salt: int, footprint: float) -> 
     return inside(3.0 * (1.0 - math.sqrt(across * across + along * along)), footprint)
 
 
-@fast_kernel
+@fast_part
 def core(u: float, v: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
     """Return (radiance, rise_um, contrast) of the core: four by two blocks, each within a thin bright border.
 
@@ -177,7 +177,7 @@ def core(u: float, v: float, column: int, row: int, footprint: float) -> tuple[f
     return ground + radiance * within + border(x, y, footprint), rise_um * within, contrast
 
 
-@fast_kernel
+@fast_part
 def border(x: float, y: float, footprint: float) -> float:
     """Return the radiance of the thin line along the left and lower side of a block."""
     left = rectangle(x, y, 0.8, 2.2, 0.8, 89.2, footprint)
@@ -185,7 +185,7 @@ def border(x: float, y: float, footprint: float) -> float:
     return 0.10 * (left + lower)
 
 
-@fast_kernel
+@fast_part
 def pattern(kind: int, x: float, y: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
     """Return the pattern of a block: (radiance over the ground, rise_um, contrast)."""
     soft = max(footprint, 0.7)  # lithography is no sharper than this
@@ -205,7 +205,7 @@ def pattern(kind: int, x: float, y: float, column: int, row: int, footprint: flo
     return 0.24 * wires, 0.3 * wires, 0.055
 
 
-@fast_kernel
+@fast_part
 def memory(x: float, y: float, soft: float) -> float:
     """Return the coverage by staggered cells, their word lines, and occasional column straps."""
     stagger = 3.6 * (math.floor(x / 5.2) % 2)
@@ -213,7 +213,7 @@ def memory(x: float, y: float, soft: float) -> float:
     return 0.8 * cells + 0.35 * bars(y, 7.2, 0.16, soft) + 0.4 * bars(x, 26.0, 0.07, soft)
 
 
-@fast_kernel
+@fast_part
 def logic(x: float, y: float, salt: int, soft: float) -> float:
     """Return the coverage by rows of standard cells, randomly present bars between supply rails."""
     row = math.floor(y / 6.0)
@@ -222,7 +222,7 @@ def logic(x: float, y: float, salt: int, soft: float) -> float:
     return cell_bars(x, row, salt, soft) * bar(up, 1.3, 5.2, soft) * strength + 0.7 * bar(up, 0.0, 0.9, soft)
 
 
-@fast_kernel
+@fast_part
 def cell_bars(x: float, row: int, salt: int, soft: float) -> float:
     """Return the coverage by bars 2.4 um wide, present or absent, with soft transitions between them."""
     number = math.floor(x / 2.4)
@@ -235,7 +235,7 @@ def cell_bars(x: float, row: int, salt: int, soft: float) -> float:
     return blend(blend(before, here, inside(along, soft)), after, inside(along - 2.4, soft))
 
 
-@fast_kernel
+@fast_part
 def is_bar_present(number: int, row: int, salt: int) -> float:
     """Return 1 where there is a bar, otherwise 0."""
     return 1.0 if chance(number, row, salt) > 0.5 else 0.0

@@ -14,41 +14,41 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 
 
-@fast_kernel
+@fast_part
 def inside(distance: float, footprint: float) -> float:
     """Return the share of a sample inside an edge; distance grows inwards."""
     return min(max(distance / footprint + 0.5, 0.0), 1.0)
 
 
-@fast_kernel
+@fast_part
 def wrapped(x: float, period: float) -> float:
     """Return x modulo the period, in [0, period)."""
     return x - period * math.floor(x / period)
 
 
-@fast_kernel
+@fast_part
 def bar(x: float, start: float, stop: float, footprint: float) -> float:
     """Return the share of a sample between start and stop."""
     return inside(x - start, footprint) * inside(stop - x, footprint)
 
 
-@fast_kernel
+@fast_part
 def rectangle(x: float, y: float, left: float, right: float, bottom: float, top: float, footprint: float) -> float:
     """Return the share of a sample within a rectangle."""
     return bar(x, left, right, footprint) * bar(y, bottom, top, footprint)
 
 
-@fast_kernel
+@fast_part
 def bars(x: float, period: float, duty: float, footprint: float) -> float:
     """Return the share of a sample on bars that fill the first duty of every period."""
     phase = wrapped(x, period)
     return bar(phase, 0.0, duty * period, footprint) + inside(phase - period, footprint)
 
 
-@fast_kernel
+@fast_part
 def blend(a: float, b: float, share: float) -> float:
     """Return the linear blend: a at share 0, b at share 1."""
     return a + (b - a) * share
@@ -96,7 +96,7 @@ Integer = int | np.signedinteger[Any]
 UNIT_DEVIATION = 4.7  # the standard deviation of smoothed uniform noise is about 1 / 4.7
 
 
-@fast_kernel
+@fast_part
 def mixed(h: np.uint32) -> np.uint32:
     """Mix the 32 bits of h (Wellons, hash prospector, lowbias32).
 
@@ -118,7 +118,7 @@ def chance(i: int, j: int, salt: Integer) -> float:
     return mixed(np.uint32(a ^ b ^ c)) / 4294967296.0
 
 
-@fast_kernel
+@fast_part
 def smooth(t: float) -> float:
     """Return the smoothstep that joins cells without a crease, t in [0, 1]."""
     return t * t * (3.0 - 2.0 * t)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes.drawing import Integer, Points, SceneSheets, grain, inside
 
 STEP_UM = 399.88
@@ -35,7 +35,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
             out.height_b[r, c], out.radiance_b[r, c] = lower_block(x, y)
 
 
-@fast_kernel
+@fast_part
 def upper_block(x: float, y: float) -> tuple[float, float]:
     """Return (height, radiance); past its edge the chamfer is mirrored, so that the sheet is continuous."""
     bevel = max(0.0, CHAMFER_UM - abs(x + GAP_UM / 2))
@@ -44,7 +44,7 @@ def upper_block(x: float, y: float) -> tuple[float, float]:
     return STEP_UM - bevel, CHAMFER + burnish(bevel)
 
 
-@fast_kernel
+@fast_part
 def lower_block(x: float, y: float) -> tuple[float, float]:
     """Return (height, radiance) of the lower block and of the floor of the gap."""
     plane = TILT_X * x + TILT_Y * y
@@ -57,13 +57,13 @@ def lower_block(x: float, y: float) -> tuple[float, float]:
     return plane, LAPPED_LOWER * (1.0 + 0.10 * lapping(x, y, LOWER_LAPPING, -0.5))
 
 
-@fast_kernel
+@fast_part
 def burnish(bevel: float) -> float:
     """Return the radiance of the thin bright line at the start of a chamfer."""
     return 0.3 * math.exp(-(((bevel - 0.8) / 0.8) ** 2))
 
 
-@fast_kernel
+@fast_part
 def lapping(x: float, y: float, salt: Integer, turn_rad: float) -> float:
     """Return crossed lapping scratches and grain, of about unit standard deviation."""
     u = x * math.cos(turn_rad) + y * math.sin(turn_rad)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, grain
 
 TILT_X, TILT_Y = 4e-3, 1.5e-3
@@ -24,7 +24,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
             out.cover[r, c] = 1.0
 
 
-@fast_kernel
+@fast_part
 def ground_metal(x: float, y: float) -> float:
     """Return the radiance of a ground surface: grain and marks along x."""
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(x / 45.0, y / 1.3, MARKS))

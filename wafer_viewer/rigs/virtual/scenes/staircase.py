@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, bars, grain
 
 TREAD_UM, RISE_UM = 180.0, 20.0
@@ -33,13 +33,13 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
             out.radiance_a[r, c], out.radiance_b[r, c] = ground * tone(even), ground * tone(odd)
 
 
-@fast_kernel
+@fast_part
 def ground_metal(x: float, y: float) -> float:
     """Return the radiance of a ground surface: grain and marks along x."""
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(x / 40.0, y / 1.3, MARKS))
 
 
-@fast_kernel
+@fast_part
 def tone(tread: int) -> float:
     """Return a brightness factor that distinguishes neighbouring treads."""
     return 0.9 + 0.1 * (tread % 3)

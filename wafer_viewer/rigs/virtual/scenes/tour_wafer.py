@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes import die as full_size
 from wafer_viewer.rigs.virtual.scenes.die import bevel_drop, die
 from wafer_viewer.rigs.virtual.scenes.drawing import (
@@ -113,7 +113,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: SceneSheets) -> N
             out.height_a[r, c], out.radiance_a[r, c], out.height_b[r, c], out.radiance_b[r, c], out.cover[r, c] = values
 
 
-@fast_kernel
+@fast_part
 def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, float, float]:
     """Return (height A, radiance A, height B, radiance B, cover of A) at one point."""
     column, row = math.floor(x / PITCH_X_UM + 0.5), math.floor(y / PITCH_Y_UM + 0.5)
@@ -148,10 +148,10 @@ def is_whole_die(column: int, row: int) -> bool:
     return x * x + y * y < (RADIUS_UM - EDGE_EXCLUSION_UM) ** 2 and lower > FLAT_UM + EDGE_EXCLUSION_UM
 
 
-whole_die = fast_kernel(is_whole_die)
+whole_die = fast_part(is_whole_die)
 
 
-@fast_kernel
+@fast_part
 def die_inset(across: float, along: float) -> float:
     """Return the distance inside the die's rounded outline, negative outside; (across, along) from the die centre."""
     x = abs(across) - WIDTH_UM / 2 + CORNER_UM
@@ -160,7 +160,7 @@ def die_inset(across: float, along: float) -> float:
     return CORNER_UM - beyond - min(max(x, y), 0.0)
 
 
-@fast_kernel
+@fast_part
 def die_top(
     x: float, y: float, across: float, along: float, column: int, row: int, inset: float, footprint: float
 ) -> tuple[float, float]:
@@ -182,7 +182,7 @@ def die_top(
     return radiance * (1.0 + contrast * (0.8 * fine + 0.6 * coarse) + shade), rise_um + relief_um
 
 
-@fast_kernel
+@fast_part
 def drop(x: float, y: float, under: float, footprint: float) -> tuple[float, float, float, float]:
     """Return (share, height_um, radiance, contrast) of the gel drop, a scaled version of the larger wafer's."""
     smaller = GEL_RADIUS_UM / DROP_RADIUS_UM
@@ -197,7 +197,7 @@ def scratch_middle(x: float) -> float:
     return SCRATCH_LOWER_UM + SCRATCH_SLOPE * (x - SCRATCH_LEFT_UM) + 6.0 * math.sin(x / 60.0)
 
 
-@fast_kernel
+@fast_part
 def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
     """Return (groove, lip): coverage of a bent scratch that fades at both ends, with occasional interruptions."""
     away = abs(y - scratch_middle(x)) * 0.97
@@ -211,7 +211,7 @@ def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
     return groove * touching, lip * touching
 
 
-@fast_kernel
+@fast_part
 def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]:
     """Return (share, height_um, radiance) of the particle at a point, zeros without one."""
     for k in range(PARTICLES.shape[0]):
@@ -223,7 +223,7 @@ def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]
     return 0.0, 0.0, 0.0
 
 
-@fast_kernel
+@fast_part
 def floor(x: float, y: float, across: float, along: float, from_wall: float, footprint: float) -> float:
     """Return the radiance of the street floor and of the tape beyond the wafer's edge."""
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
@@ -236,7 +236,7 @@ def floor(x: float, y: float, across: float, along: float, from_wall: float, foo
     return blend(tape, ground, inside(edge, footprint))
 
 
-@fast_kernel
+@fast_part
 def printed(x: float, y: float, upright: bool, footprint: float) -> float:
     """Return the coverage by print in the streets.
 

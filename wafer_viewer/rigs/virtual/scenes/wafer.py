@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import fast_kernel, fast_part
 from wafer_viewer.rigs.virtual.scenes.die import HEIGHT_UM, WIDTH_UM, bevel_drop, die
 from wafer_viewer.rigs.virtual.scenes.drawing import (
     Points,
@@ -81,7 +81,7 @@ def is_whole_die(column: int, row: int) -> bool:
     return x * x + y * y < (RADIUS_UM - EDGE_EXCLUSION_UM) ** 2 and lower > FLAT_UM + EDGE_EXCLUSION_UM
 
 
-whole_die = fast_kernel(is_whole_die)
+whole_die = fast_part(is_whole_die)
 
 
 @fast_kernel
@@ -93,7 +93,7 @@ def die_inset(u: float, v: float) -> float:
     return CORNER_UM - beyond - min(max(x, y), 0.0)
 
 
-@fast_kernel
+@fast_part
 def chipped(inset: float, x: float, y: float) -> float:
     """Return the inset after sawing, with edge roughness and occasional chips."""
     if inset < -2.0 or inset > 9.0:
@@ -101,7 +101,7 @@ def chipped(inset: float, x: float, y: float) -> float:
     return inset - 0.45 * grain(x / 2.6, y / 2.6, WANDER) - 5.0 * max(0.0, grain(x / 9.0, y / 9.0, CHIPS) - 0.9)
 
 
-@fast_kernel
+@fast_part
 def die_top(
     x: float, y: float, u: float, v: float, column: int, row: int, inset: float, footprint: float
 ) -> tuple[float, float]:
@@ -124,7 +124,7 @@ def die_top(
     return radiance * (1.0 + contrast * (0.8 * fine + 0.6 * coarse) + shade), rise_um + relief_um
 
 
-@fast_kernel
+@fast_part
 def gel_drop(x: float, y: float, under: float, footprint: float) -> tuple[float, float, float, float]:
     """Return (share, height_um, radiance, contrast) of a clear drop; (x, y) from its centre.
 
@@ -170,7 +170,7 @@ def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]
     return dust(x, y, across, along, radius, footprint)
 
 
-@fast_kernel
+@fast_part
 def dust(
     x: float, y: float, across: float, along: float, radius: float, footprint: float
 ) -> tuple[float, float, float]:
@@ -186,7 +186,7 @@ def dust(
     return inside((1.0 - far) * radius, footprint), height_um, 0.03 + 0.45 * math.exp(-6.0 * far2)
 
 
-@fast_kernel
+@fast_part
 def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: float) -> float:
     """Return the radiance of the trench floor and of the tape beyond the wafer's edge."""
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
@@ -199,14 +199,14 @@ def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: f
     return blend(tape, ground, inside(edge, footprint))
 
 
-@fast_kernel
+@fast_part
 def saw_marks(x: float, y: float, upright: bool, level: bool) -> float:
     """Return streaks along the cut: vertical in a column trench, horizontal in a row trench, both at crossings."""
     marks = grain(x / 1.1, y / 70.0, UPRIGHT_CUT) * upright + grain(x / 70.0, y / 1.1, LEVEL_CUT) * level
     return marks / max(1.0, 1.0 * upright + level)
 
 
-@fast_kernel
+@fast_part
 def printed(x: float, y: float, u: float, v: float, footprint: float) -> float:
     """Return the coverage by print in the trenches.
 
@@ -222,7 +222,7 @@ def printed(x: float, y: float, u: float, v: float, footprint: float) -> float:
     return max(cross, squares)
 
 
-@fast_kernel
+@fast_part
 def crossing_mark(across: float, along: float, arm_um: float, footprint: float) -> float:
     """Return the coverage by a cross with a given arm length; (across, along) from its centre."""
     upright = rectangle(across, along, -2.0, 2.0, -arm_um, arm_um, footprint)
@@ -230,7 +230,7 @@ def crossing_mark(across: float, along: float, arm_um: float, footprint: float) 
     return max(upright, level)
 
 
-@fast_kernel
+@fast_part
 def wall_shade(from_wall: float, depth_um: float) -> float:
     """Return the relative light at a distance from the foot of a wall, which blocks part of the light cone.
 
