@@ -59,7 +59,7 @@ def contradicting_order(sharpness: NDArray[np.float64]) -> SupportedOrder | None
     few = len(sharpness) < FEWEST_FRAMES or sharpness.shape[1] < FEWEST_PLACES
     if few or given < LEAST_DIPS:
         return None
-    dips, order = min((_dips(sharpness[order]), order) for order in _orders(len(sharpness)))
+    dips, order = min((_dips(sharpness[order]), order) for order in named_orders(len(sharpness)))
     return SupportedOrder(tuple(order), dips, given) if dips < CONTRADICTED * given else None
 
 
@@ -114,7 +114,7 @@ def _dips(sharpness: NDArray[np.float64]) -> float:
     return float(np.mean((envelope - curves) / span))
 
 
-def _orders(n: int) -> Iterator[list[int]]:
+def named_orders(n: int) -> Iterator[list[int]]:
     """Yield the orders that undo those which names give to frames."""
     frames = list(range(n))
     for at in range(1, n):

@@ -44,6 +44,7 @@ from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 from wafer_viewer.reconstruct.height_uncertainty import jitter_effect_um, uncertainty_um
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
 from wafer_viewer.reconstruct.preprocess.frame_jitter import add_gaps, frame_gaps, frame_jitter, worst_gap_u_um
+from wafer_viewer.reconstruct.preprocess.frame_order import order_without_jitter
 from wafer_viewer.reconstruct.preprocess.frames import FrameSamples, prepare
 
 SEARCH_SHARE, EDGES_SHARE = 0.6, 0.9
@@ -372,7 +373,7 @@ def read_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) ->
 
 
 def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[FrameHealth, tuple[str, ...]]:
-    """Return the uncertainty of a height from the z and the light of the frames, and a note if jitter shows.
+    """Return the uncertainty of a height from the z and the light of the frames, and a note on jitter or a wrong order.
 
     The peaks of the paper's estimator are rounded to frames, which hides both.
     """
@@ -390,11 +391,27 @@ def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[F
     single_um = jitter_um / jitter_u_um(1.0, step_um, depth_um)
     if single_um < JITTER_TOLD * step_um:
         return health, ()
+    order = order_without_jitter(frames, depth_um, single_um)
+    if order is not None:
+        return health, (_order_note(frames.stored[0].slots[list(order)] + 1),)
     note = (
         f"The z of single frames jitters by about {single_um:.2g} um (standard deviation), which adds "
         f"{jitter_um:.2g} um to the standard uncertainty of heights: check the z axis for vibration."
     )
     return health, (note,)
+
+
+def _order_note(numbers: NDArray[np.intp]) -> str:
+    runs = np.split(numbers, np.flatnonzero(np.abs(np.diff(numbers)) != 1) + 1)
+    shown = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:_SHOWN_RUNS]]
+    return (
+        "The frames are not in the order of their z, and heights are wrong: their images change evenly in another "
+        f"order, {', '.join(shown)}{' ...' if len(runs) > _SHOWN_RUNS else ''} (frames from 1). Give the images in "
+        "that order, or each its own z."
+    )
+
+
+_SHOWN_RUNS = 8
 
 
 def _depth_um(field: PreparedField) -> float:

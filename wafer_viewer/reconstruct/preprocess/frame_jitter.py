@@ -171,22 +171,33 @@ def frame_jitter(frames: Frames, depth_of_field_um: float) -> FrameJitter:
 
     depth_of_field_um: of the lens, wavelength / NA^2 + pixel / NA.
     """
+    means = block_means(frames, depth_of_field_um)
+    return UNSEEN if means is None else jitter_of_means(*means, frames.z_um, frames.step_um)
+
+
+def block_means(frames: Frames, depth_of_field_um: float) -> tuple[Blocks, Blocks] | None:
+    """Return the flat and the smooth means of blocks, [k, block] each; None of too few."""
     if frames.n_frames < 2 * REACH + FRAME_JITTER.least_frames:
-        return UNSEEN
+        return None
     side = _block_px(frames, depth_of_field_um)
     rows, cols = (n // side for n in frames.shape)
     if rows * cols < FRAME_JITTER.least_blocks or rows < 2 or cols < 2 * NEIGHBOURS:
-        return UNSEEN
-    bands = list(_band_means(frames, side))
-    seen = _offsets(np.concatenate([means for means, _ in bands], axis=1), frames)
+        return None
+    flat, smooth = zip(*_band_means(frames, side), strict=True)
+    return np.concatenate(flat, axis=1), np.concatenate(smooth, axis=1)
+
+
+def jitter_of_means(flat: Blocks, smooth: Blocks, z_um: Floats, step_um: float) -> FrameJitter:
+    """Return the jitter that means of blocks [k, block] show."""
+    seen = _offsets(flat, z_um, step_um)
     if seen is None or not seen.significant:
         return UNSEEN
-    smooth = _offsets(np.concatenate([means for _, means in bands], axis=1), frames)
-    if smooth is None or smooth.variance + smooth.noise < FRAME_JITTER.confirmed * seen.variance:
+    confirmed = _offsets(smooth, z_um, step_um)
+    if confirmed is None or confirmed.variance + confirmed.noise < FRAME_JITTER.confirmed * seen.variance:
         return UNSEEN
     freedom = max(FRAME_JITTER.least_freedom, seen.frames / FRAMES_PER_FREEDOM)
-    variance = np.clip(smooth.variance, FRAME_JITTER.confirmed * seen.variance, seen.variance)
-    return FrameJitter(math.sqrt(variance) * frames.step_um, freedom)
+    variance = np.clip(confirmed.variance, FRAME_JITTER.confirmed * seen.variance, seen.variance)
+    return FrameJitter(math.sqrt(variance) * step_um, freedom)
 
 
 def _block_px(frames: Frames, depth_of_field_um: float) -> int:
@@ -214,7 +225,7 @@ def _band_means(frames: Frames, side: int) -> Iterator[tuple[Blocks, Blocks]]:
         yield flat.sum(axis=2).astype(np.float32) / side**2, smooth[:, halves]
 
 
-def _contrast(blocks: Blocks) -> Blocks:
+def contrast_of(blocks: Blocks) -> Blocks:
     """Return the deviation of blocks [k, block] from the mean of their frame, as a fraction: flicker drops out."""
     return blocks / np.maximum(blocks.mean(axis=1, keepdims=True), 1e-9) - 1
 
@@ -231,9 +242,9 @@ class _Offsets(NamedTuple):
         return self.variance >= max(FRAME_JITTER.least**2, FRAME_JITTER.sigmas * self.noise)
 
 
-def _offsets(means: Blocks, frames: Frames) -> _Offsets | None:
+def _offsets(means: Blocks, z_um: Floats, step_um: float) -> _Offsets | None:
     """Return what means of blocks [k, block] show; None if too few frames change."""
-    contrast, z_um, step_um = _contrast(means), frames.z_um, frames.step_um
+    contrast = contrast_of(means)
     every = _weighted(contrast, CHANGES)  # of the frames from the third on
     change = every[REACH - 2 : len(every) - REACH + 2]
     power, uneven = np.sum(change**2, axis=1), _uneven(z_um / step_um)

