@@ -412,6 +412,7 @@ def _order_note(numbers: NDArray[np.intp]) -> str:
 
 
 _SHOWN_RUNS = 8
+"""Runs of frame numbers that a note names."""
 
 
 def _depth_um(field: PreparedField) -> float:
