@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 from wafer_viewer.model.maker_formats import MAKER_FORMAT
@@ -63,6 +64,16 @@ OWN_FORMATS = (
         layout="µm, pixel size as resolution, and with the place for GDAL; Gwyddion reads no units of it",
         reader=f"{_STORE}.tiff:read_tiff",
         writer=f"{_STORE}.tiff:write_tiff",
+        is_surface=f"{_STORE}.tiff:is_heights",
+    ),
+    SurfaceFormat(
+        suffixes=(".ome.tif", ".ome.tiff"),
+        title="OME-TIFF, heights and picture with pyramids",
+        loses="It holds heights as 32-bit floats and the all-in-focus picture: confidence, uncertainty, measured "
+        "heights, what was filled in and why pixels are unmeasured stay behind.",
+        layout="µm, pixel size and place as OME has them, for viewers of large images",
+        reader=f"{_STORE}.tiff:read_tiff",
+        writer=f"{_STORE}.ome_pyramid:write_ome_tiff",
         is_surface=f"{_STORE}.tiff:is_heights",
     ),
     SurfaceFormat(
@@ -172,6 +183,12 @@ BY_SUFFIX = {suffix: one for one in FORMATS for suffix in one.suffixes}
 READ = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.reader is not None)
 WRITTEN = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.writer is not None)
 MESHES = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.is_mesh)
+
+
+def suffix_of(path: Path) -> str:
+    """Return the ending of a file name that names a format, such as ``.ome.tif``, else its last one; in lower case."""
+    double = "".join(path.suffixes[-2:]).lower()
+    return double if double in BY_SUFFIX else path.suffix.lower()
 
 
 def format_of(suffix: str, head: bytes) -> SurfaceFormat | None:

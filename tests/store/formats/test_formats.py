@@ -95,7 +95,12 @@ def test_simulation_and_calibration_come_back(tmp_path, ending):
 def without_embedded_metadata(path):
     """Damage the machine-readable text of a file, as another program does that writes it anew."""
     if path.suffix != ".x3p":
-        path.write_bytes(path.read_bytes().replace(b'"pixel_um"', b'"pixel_qm"'))
+        content = path.read_bytes()
+        damaged = content.replace(b'"pixel_um"', b'"pixel_qm"').replace(
+            b"&quot;pixel_um&quot;", b"&quot;pixel_qm&quot;"
+        )
+        assert damaged != content
+        path.write_bytes(damaged)
         return
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist() if name != "md5checksum.hex"}

@@ -19,7 +19,7 @@ from wafer_viewer.gui.presenters.surface import surface_name
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for
+from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for, suffix_of
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.surface_format import Reading
@@ -163,7 +163,8 @@ def export_dialog(page: Page) -> None:
     @kind.on_update
     def _(_: Any) -> None:
         ending = WRITTEN_TITLES[kind.value]
-        files.save_as(f"{Path(files.field.value).stem}{ending}", ending)
+        name = Path(files.field.value)
+        files.save_as(f"{name.name.removesuffix(suffix_of(name))}{ending}", ending)
         every.value = every_for(size[:2], MESH_POINTS) if size and BY_SUFFIX[ending].is_mesh else 1
         description.show(_description(ending, every.value, size))
 

@@ -12,7 +12,16 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
-from wafer_viewer.model.file_formats import BY_SUFFIX, MESH_POINTS, READ, WRITTEN, every_for, format_of, with_suffixes
+from wafer_viewer.model.file_formats import (
+    BY_SUFFIX,
+    MESH_POINTS,
+    READ,
+    WRITTEN,
+    every_for,
+    format_of,
+    suffix_of,
+    with_suffixes,
+)
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, PartOfMosaic
@@ -102,7 +111,7 @@ def read_surface(
 
 def is_surface_file(path: Path) -> bool:
     """Return whether a file is a surface by its first bytes, or else its suffix; a TIFF must also hold floats."""
-    kind = format_of(path.suffix, _head(path))
+    kind = format_of(suffix_of(path), _head(path))
     if kind is None or kind.is_surface is None:
         return kind is not None
     return path.is_file() and imported(kind.is_surface)(path)
@@ -120,8 +129,8 @@ _HEAD_BYTES = 64
 
 def _reader_of(path: Path, options: ReadOptions) -> Reader:
     """Return the reader by the first bytes of a file, or else its suffix; a note tells if the two contradict."""
-    kind = format_of(path.suffix, _head(path))
-    if kind is not None and kind is not BY_SUFFIX.get(path.suffix.lower()):
+    kind = format_of(suffix_of(path), _head(path))
+    if kind is not None and kind is not BY_SUFFIX.get(suffix_of(path)):
         options.notes.append(f"Its content and not its ending told its format: {kind.title}.")
     if kind is not None and kind.reader is not None:
         return imported(kind.reader)
@@ -241,7 +250,7 @@ def write_surface(height: HeightMap | Mosaic, path: str | Path) -> Path:
 
 def require_format(path: Path) -> Writer:
     """Return the exporter for a file's suffix. Raises DatasetError when there is none."""
-    kind = BY_SUFFIX.get(path.suffix.lower())
+    kind = BY_SUFFIX.get(suffix_of(path))
     if kind is None or kind.writer is None:
         raise DatasetError(f"{path.name} has no ending that is known: take one of {', '.join(WRITTEN)}.")
     return imported(kind.writer)
@@ -251,14 +260,14 @@ def density(surface: HeightMap | Mosaic, path: Path, most_points: int | None = N
     """Return n for writing every n-th pixel: 1 by default, more for a mesh or a limited number of points."""
     if most_points is not None and most_points < 4:
         raise DatasetError(f"--max-points is {most_points}: a surface has at least 4.")
-    if most_points is None and not BY_SUFFIX[path.suffix.lower()].is_mesh:
+    if most_points is None and not BY_SUFFIX[suffix_of(path)].is_mesh:
         return 1
     return every_for(surface.shape, most_points or MESH_POINTS)
 
 
 def losses(surface: HeightMap | Mosaic, path: Path, every: int = 1) -> tuple[str, ...]:
     """Return what a file cannot hold of a surface, one sentence each; empty if it holds everything."""
-    kind = BY_SUFFIX[path.suffix.lower()]
+    kind = BY_SUFFIX[suffix_of(path)]
     sentences = [kind.loses]
     if every > 1:
         sentences.append(f"One row and one column in {every} are written, {surface.pixel_um * every:.4g} um apart.")

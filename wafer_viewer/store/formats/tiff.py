@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
 from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.store.formats.ome_pyramid import facts_of
 from wafer_viewer.store.formats.reader_support import (
     ReadOptions,
     about,
@@ -86,7 +87,7 @@ def read_tiff(path: Path, options: ReadOptions) -> HeightMap:
         embedded, by_imagej = page.description, str((file.imagej_metadata or {}).get("Info", ""))
     if n_pages >= MIN_FRAMES:
         raise options.refuse(f"has {n_pages} pages, a stack of images and no heights: import or reconstruct it.")
-    if n_pages > 1:
+    if n_pages > 1 and "pixel_um" not in facts:  # those of ours have a picture beside the heights
         options.notes.append(f"Its first page was read, of {n_pages}.")
     options.require_heights_up(str(facts.get("quantity", facts.get("kind", ""))))
     metadata = parse_metadata(json.dumps(facts))
@@ -136,7 +137,9 @@ def _require_heights(page: TiffPage, options: ReadOptions) -> None:
 
 
 def _facts(page: TiffPage) -> dict[str, Any]:
-    """Return the description if it is a JSON object, otherwise an empty dict."""
+    """Return the description if it is a JSON object, or has one in OME-XML, otherwise an empty dict."""
+    if page.description.lstrip().startswith("<"):
+        return facts_of(page.description)
     try:
         facts: Any = json.loads(page.description)
     except ValueError:
