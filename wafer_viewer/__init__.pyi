@@ -99,6 +99,7 @@ from .session.gauge.repeat_scans import studies_of as studies_of
 from .session.reporting.conformance_report import verify_conformance as verify_conformance
 from .session.reporting.conformance_report import write_conformance as write_conformance
 from .session.session import Session as Session
+from .session.surface.image_tiles import stitch_images as stitch_images
 from .session.surface.worker_tasks import write_fields as write_fields
 from .store.dataset.dataset import Dataset as Dataset
 from .store.dataset.file_contents import file_contents as file_contents

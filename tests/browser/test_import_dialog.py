@@ -110,3 +110,27 @@ def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(
     type_into(page, "Columns", "0.2")
     expect(dialog).to_contain_text("Not looked at")
     expect(dialog).to_contain_text("The number of columns is 0: it must be")
+
+
+def test_single_images_of_a_grid_are_stitched_to_one_picture(
+    serve: Callable[[FakeSession], Page], tmp_path: Path
+) -> None:
+    folder = tmp_path / "grid"
+    folder.mkdir()
+    for n in range(6):
+        tifffile.imwrite(folder / f"r{n // 3}_c{n % 3}.tif", np.full((24, 32), 40 * n, np.uint8))
+    session = looking_session(fake.planned())
+    page = serve(session)
+    press(page, "Import…")
+    dialog = page.get_by_role("dialog")
+    type_into(page, "Path", str(folder))
+    type_into(page, "Pixel, µm", "0.5")
+    type_into(page, "Pattern", "r{row}_c{col}.tif")
+    expect(dialog.locator(".wv-imp-place rect")).to_have_count(6)
+    expect(dialog.locator(".wv-imp-strip img")).to_have_count(6)
+    expect(dialog.locator(".wv-imp-foot")).to_contain_text("6 images, one a field → grid.ome.tif")
+    expect(dialog.locator("code")).to_contain_text("wafer-viewer stitch-images")
+    dialog.get_by_role("button", name="Stitch to one picture").click()
+    eventually(lambda: any(name.endswith("stitch_images") for name, _, _ in session.asked), "the work begins")
+    (sources, options) = next(args for name, args, _ in session.asked if name.endswith("stitch_images"))
+    assert (sources, options.pixel_um, options.pattern) == ((folder,), 0.5, "r{row}_c{col}.tif")

@@ -12,6 +12,7 @@ import numpy as np
 import psutil
 import pytest
 from distributed import LocalCluster, Security
+from scipy.ndimage import gaussian_filter
 
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError, RigError, WaferViewerError
@@ -252,6 +253,21 @@ def test_images_are_imported_opened_and_reconstructed(session, surfaced, patienc
         session.import_images((tmp_path,), ImageOptions(z_step_um=2.0), name="broken").result(patience_s)
     assert not list(session.snapshot.data_folder.glob("*broken*"))
     assert session.snapshot.dataset.path == path
+
+
+def test_single_images_are_stitched_to_a_picture_beside_the_datasets(session, patience_s, tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    rough = gaussian_filter(np.random.default_rng(2).normal(0, 100, (160, 300)), 1)
+    ground = (128 + rough).clip(0, 255).astype(np.uint8)
+    for col in range(2):
+        tifffile.imwrite(tmp_path / f"r0_c{col}.tif", ground[:, 131 * col : 131 * col + 169])
+    options = ImageOptions(pixel_um=0.5, pattern="r{row}_c{col}.tif")
+    look = session.exchange.look((tmp_path,), options, name="whole").result(patience_s).done.result(patience_s)
+    assert look.contents.is_tiled
+    out = session.exchange.stitch_images((tmp_path,), options, name="whole").result(patience_s)
+    assert out == look.out == session.snapshot.data_folder / "whole.ome.tif"
+    np.testing.assert_allclose(tifffile.imread(look.out).astype(int), ground, atol=1)
+    assert (look.out.parent / "whole-places.csv").read_text().startswith("file,x_um,y_um")
 
 
 def test_a_cluster_that_runs_already_is_joined_with_certificates_only(monkeypatch, patience_s, tmp_path):

@@ -35,6 +35,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "release": CommandEntry("acquisition", "make a plan a job that operators run with four actions"),
     "stitch": CommandEntry("surface", "make the stitched surface of a dataset"),
     "stitch-surfaces": CommandEntry("surface", "make one surface of several surface files that overlap"),
+    "stitch-images": CommandEntry("surface", "make one picture of single images that overlap"),
     "measure dies": CommandEntry(
         "defects", "the lattice of the dies, and which are whole, cut, not scanned or missing"
     ),

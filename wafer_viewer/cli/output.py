@@ -184,7 +184,7 @@ def print_contents(found: FileContents) -> None:
     for doubt in found.doubts:
         print(f"To settle: {doubt}")
     if found.can_import and found.kind != "dataset":
-        print("It can be imported as it is.")
+        print("stitch-images makes one picture of it." if found.is_tiled else "It can be imported as it is.")
 
 
 def print_files(kinds: Iterable[KindReport]) -> None:

@@ -136,6 +136,38 @@ def stitch_surfaces(
     print(out)
 
 
+def stitch_images(
+    src: Sources,
+    out: Out,
+    images: Images,
+    recipe: Recipe = Recipe(),
+    overlap_fraction: float = 0.1,
+    poses: File = None,
+) -> None:
+    """Make one picture of single images that overlap, one a field, such as a grid of a microscope without z.
+
+    They lie where a table of --places says, on the grid of --pattern, or where they say themselves; their overlaps
+    correct that.
+
+    Args:
+        src: A folder of images, image files, or a file with several positions.
+        out: The picture: NAME.ome.tif with a pyramid for viewers of large images, or NAME.tif.
+        recipe: --recipe RECIPE.toml gives all settings, of which those of stitching are used.
+        overlap_fraction: Overlap of neighbours on the grid of --pattern, where the images do not tell it.
+        poses: Also write where each image lies, with uncertainties, as CSV; --places takes it again.
+    """
+    from wafer_viewer.session.surface.image_tiles import write_stitched
+
+    require_sources(src)
+    with progress("Stitching") as tell:
+        found = write_stitched(
+            src[0] if len(src) == 1 else src, out, poses, images, overlap_fraction, recipe, progress=tell
+        )
+    for note in found.notes:
+        warn(note)
+    print(f"{out}: {len(found.numbers)} images, {int(found.left_out.sum())} left out")
+
+
 def why(
     src: Sources,
     at: Place,

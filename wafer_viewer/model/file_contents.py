@@ -42,11 +42,13 @@ class AxisChoice:
 class FileContents:
     """Contents of a source of images or heights.
 
-    name: of the file or folder. facts: in the order of reading. frames: of the first field. fields: how many.
+    name: of the file or folder. facts: in the order of reading. frames: of the first field, or the image
+    of each field. fields: how many.
     notes: one sentence each on how it is read. doubts: what has to be settled before it can be imported, with the mend.
     unsettled: names of the facts that doubts are about; their values are empty where unknown, several where they
     contradict each other. left_out: files that are not taken. choices: axes with several names. places_um: centres of
     the fields on the sample; field_um: width and height of a field, None if unknown. n_bytes: of all images.
+    is_tiled: True for several fields of one image each, which make a picture and no heights.
     """
 
     name: str
@@ -62,6 +64,7 @@ class FileContents:
     places_um: tuple[tuple[float, float], ...] = ()
     field_um: tuple[float, float] | None = None
     n_bytes: int = 0
+    is_tiled: bool = False
 
     @property
     def n_missing(self) -> int:

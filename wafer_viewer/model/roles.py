@@ -23,6 +23,7 @@ Action = Literal[
     "Surfaces compared",
     "Surface imported",
     "Images imported",
+    "Images stitched",
     "Plan saved",
     "Job released",
     "Gauge check signed",

@@ -24,7 +24,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.file_contents import FileContents
 from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.core.background_work import RunningWork
-from wafer_viewer.session.files.file_jobs import ImportLook
+from wafer_viewer.session.files.file_jobs import PICTURE_ENDING, ImportLook
 from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The files were not read"
@@ -158,6 +158,10 @@ class ImportDialog:
         if len(sources) == 1 and page.session.exchange.is_surface(sources[0]):
             open_surface(page, sources[0], self._reading(), name)
             return
+        if self._is_current and self._look is not None and self._look.contents.is_tiled:
+            made = page.session.exchange.stitch_images(sources, self._options(), name=name)
+            page.ask("No picture was made", made, lambda out: page.say("Picture stitched", str(out)))
+            return
         done = page.session.import_images(sources, self._options(), name=name)
         page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
 
@@ -290,8 +294,9 @@ class ImportDialog:
             self._contents.show(_contents(self._look, options))
             out = self._look.out
             if name := self._name.value.strip():
-                out = out.with_name(f"{Path(name).name.removesuffix(out.suffix)}{out.suffix}")
-            command = words.command_line(self._sources, options, reading, out)
+                ending = PICTURE_ENDING if contents.is_tiled else out.suffix
+                out = out.with_name(f"{Path(name).name.removesuffix(ending)}{ending}")
+            command = words.command_line(self._sources, options, reading, out, is_tiled=contents.is_tiled)
             self._foot.show(words.foot_html(contents, out, command))
         set_prop(self._button, "label", words.button_words(contents, options))
         set_prop(self._button, "disabled", bool(words.why_not(contents)))

@@ -97,7 +97,13 @@ def files_html(contents: FileContents, take_all: bool) -> Markup:
         link = html.note("busy", "", "All files are taken as listed.", _toggle("as-listed", "Sort them out again"))
     else:
         link = Markup()
-    order = "in the order of their z" if contents.fields == 1 else "first field, by z"
+    order = (
+        "in the order of their z"
+        if contents.fields == 1
+        else "one a field"
+        if contents.is_tiled
+        else "first field, by z"
+    )
     return html.head("Files", order, first=True) + listed + link
 
 
@@ -342,6 +348,8 @@ def button_words(contents: FileContents | None, options: ImageOptions) -> str:
     """Return the label of the button that imports: it names a gap, and what the user overrules."""
     if contents is None:
         return "Import"
+    if contents.is_tiled:
+        return "Stitch to one picture"
     if options.overrule:
         return "Import with the typed values"
     if contents.n_missing:
@@ -381,6 +389,7 @@ def foot_html(contents: FileContents, out: Path, command: str) -> Markup:
             else (f" and {contents.n_missing} gaps")
         )
         several = f"{fields_words(contents)}{',' if contents.fields == 1 else ' of'} {n} frames{gaps}"
+        several = f"{n} images, one a field" if contents.is_tiled else several
         made = "A surface" if contents.kind == "surface" else several
         weight = f", {size(contents.n_bytes)}" if contents.n_bytes else ""
         what = Markup("<div><b>{} → </b>{}{}, in {}</div>").format(made, out.name, weight, out.parent)
@@ -388,9 +397,11 @@ def foot_html(contents: FileContents, out: Path, command: str) -> Markup:
     return Markup('<div class="wv-imp-foot">{}</div>').format(what)
 
 
-def command_line(sources: Sequence[Path], options: ImageOptions, says: Reading, out: Path) -> str:
-    """Return the command that makes the same import."""
-    words = ["wafer-viewer", "import", *map(str, sources)]
+def command_line(
+    sources: Sequence[Path], options: ImageOptions, says: Reading, out: Path, *, is_tiled: bool = False
+) -> str:
+    """Return the command that makes the same import, or the same picture."""
+    words = ["wafer-viewer", "stitch-images" if is_tiled else "import", *map(str, sources)]
     given = {name: getattr(options, name) for name in options.__struct_fields__}
     given |= {"z_unit": says.z_unit, "invert_z": says.invert_z}
     standard = ImageOptions()

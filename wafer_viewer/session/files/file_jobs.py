@@ -36,7 +36,13 @@ from wafer_viewer.session.core.dataset_library import (
     summarise,
 )
 from wafer_viewer.session.reporting.report import contents, make_report
-from wafer_viewer.session.surface.worker_tasks import export_fields, export_surface, import_images, look_at_files
+from wafer_viewer.session.surface.worker_tasks import (
+    export_fields,
+    export_surface,
+    import_images,
+    look_at_files,
+    stitch_images,
+)
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, RESULTS, Finished, JournalWriter, ScanRecord, write_record
 from wafer_viewer.store.io.atomic_files import atomic_write
@@ -148,12 +154,27 @@ MOST_PICTURES = 12
 class ImportLook:
     """Contents of files that may be imported, and what the import would make.
 
-    thumbnails: JPEG by number of the frame. out: dataset that the import would write.
+    thumbnails: JPEG by number of the frame. out: dataset, or picture, that would be written.
     """
 
     contents: FileContents
     thumbnails: Mapping[int, bytes]
     out: Path
+
+    @classmethod
+    def of(cls, contents: FileContents, thumbnails: Mapping[int, bytes], dataset: Path) -> ImportLook:
+        """Return the look; of single images a picture would be written, in the place of the dataset."""
+        return cls(contents, thumbnails, picture_path(dataset) if contents.is_tiled else dataset)
+
+
+def picture_path(dataset: Path) -> Path:
+    """Return the path of a stitched picture in the place of a dataset that is not there; a free one."""
+    wish = dataset.with_name(f"{dataset.stem}{PICTURE_ENDING}")
+    others = (dataset.with_name(f"{dataset.stem}-{n}{PICTURE_ENDING}") for n in count(2))
+    return next(path for path in (wish, *others) if not path.exists()) if wish.exists() else wish
+
+
+PICTURE_ENDING = ".ome.tif"
 
 
 class FileJobs:
@@ -201,7 +222,7 @@ class FileJobs:
         self._looks.add(work.id)
         work.done.add_done_callback(lambda _: self._looks.discard(work.id))
         return RunningWork(
-            work.id, self._command_queue.then(work.done, lambda found: ImportLook(found[0], found[1], out))
+            work.id, self._command_queue.then(work.done, lambda found: ImportLook.of(found[0], found[1], out))
         )
 
     @observer_command
@@ -227,6 +248,23 @@ class FileJobs:
         files = tuple(Path(src).absolute() for src in srcs)
         made = self._background.run(f"Import of {out.stem}", import_images, files, out, options, overlap_fraction)
         return self._command_queue.then(made.done, self._open)
+
+    @command.audited("Images stitched")
+    def stitch_images(
+        self,
+        srcs: tuple[Path, ...],
+        options: ImageOptions = ImageOptions(),
+        *,
+        name: str | None = None,
+        overlap_fraction: float = 0.1,
+    ) -> Future[Path]:
+        """Make one picture of single images of a grid, NAME.ome.tif in the data folder; the future is done with it.
+
+        options: values and choices of the user.
+        """
+        out = picture_path(self._new_dataset(name, srcs[0].stem if srcs else "stitched"))
+        files = tuple(Path(src).absolute() for src in srcs)
+        return self._background.run(f"Picture {out.name}", stitch_images, files, out, options, overlap_fraction).done
 
     @command.audited("Surface imported")
     def import_surface(self, path: Path, says: Reading = Reading(), name: str | None = None) -> Future[Path]:

@@ -207,6 +207,23 @@ def import_images(
     return dataset_of(paths, out, options, overlap_fraction, progress, should_stop).path
 
 
+def stitch_images(
+    srcs: Sequence[Path],
+    out: Path,
+    options: ImageOptions,
+    overlap_fraction: float,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Make one picture of single images, with the table of their places beside it."""
+    from wafer_viewer.session.surface.image_tiles import write_stitched
+
+    paths, table = srcs[0] if len(srcs) == 1 else tuple(srcs), out.with_name(f"{out.name.split('.')[0]}-places.csv")
+    write_stitched(paths, out, table, options, overlap_fraction, progress=progress, should_stop=should_stop)
+    return out
+
+
 def look_at_files(
     srcs: Sequence[Path],
     options: ImageOptions,

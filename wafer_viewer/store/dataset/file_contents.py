@@ -27,6 +27,8 @@ OnFrame = Callable[[int, Image], None]
 DATASET_ENDING = ".wafer"
 SHOWN_PLACES = 5
 """Places of a frame whose sharpness is told."""
+SHOWN_TILES = 12
+"""Single images of a grid that are passed on."""
 _NAMED = 8
 
 
@@ -151,11 +153,13 @@ def _of_images(
     if source is None:
         return replace(found, frames=tuple(FrameFact(plane.name, plane.z_um) for plane in planes))
     field = source.fields[0]
-    frames = _frames(field, source, "z step" in unsettled)
+    frames = _tiles(source) if source.is_tiled else _frames(field, source, "z step" in unsettled)
     n_frames = sum(bool(frame.name) for frame in frames)
-    if n_frames < MIN_FRAMES:
+    if n_frames < MIN_FRAMES and not source.is_tiled:
         few = f"There are {n_frames} frames: at least {MIN_FRAMES} are needed to find a focus peak."
         found = replace(found, doubts=(*doubts, few))
+    elif source.is_tiled:
+        _shown_tiles(source, on_frame if look else None)
     elif look:
         frames, contradictions = _looked_at(frames, field, source, on_frame, progress, should_stop)
         found = replace(found, doubts=(*doubts, *contradictions))
@@ -170,6 +174,7 @@ def _of_images(
         facts=(*facts, *_agreed(source, unsettled)),
         frames=frames,
         fields=len(source.fields),
+        is_tiled=source.is_tiled,
         notes=source.notes,
         left_out=tuple(path.name for path in files if path not in taken_files),
         places_um=tuple((place.x_um, place.y_um) for place in places),
@@ -253,7 +258,7 @@ def _agreed(source: ImportSource, unsettled: Mapping[str, UnsettledValue]) -> It
         ("numerical aperture", "", source.numerical_aperture),
     ):
         values = unsettled[name].values if name in unsettled else () if stated is None else (stated,)
-        if values or name in unsettled:
+        if (values or name in unsettled) and not (name == "z step" and source.is_tiled):
             shown = " or ".join(f"{abs(value.value):.6g}{unit}" for value in values)
             yield Fact(name, shown, "; ".join(value.source for value in values))
     if len(source.fields) > 1:
@@ -272,6 +277,20 @@ def _frames(field: SourceField, source: ImportSource, z_is_open: bool) -> tuple[
     return tuple(
         FrameFact("" if slot[0] is None else slot[0].name, z) for slot, z in zip(field.slots, z_um, strict=True)
     )
+
+
+def _tiles(source: ImportSource) -> tuple[FrameFact, ...]:
+    planes = (field.slots[0][0] for field in source.fields)
+    return tuple(FrameFact("" if plane is None else plane.name, None) for plane in planes)
+
+
+def _shown_tiles(source: ImportSource, on_frame: OnFrame | None) -> None:
+    """Pass some of the single images on, spread over the fields."""
+    n_fields = len(source.fields)
+    for n in np.unique(np.linspace(0, n_fields - 1, min(n_fields, SHOWN_TILES)).astype(int)).tolist():
+        plane = source.fields[n].slots[0][0]
+        if plane is not None and on_frame is not None:
+            on_frame(n, plane.read())
 
 
 def _looked_at(

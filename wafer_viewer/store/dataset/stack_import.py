@@ -332,6 +332,8 @@ def dataset_of(
     source = read_source(srcs, options)
     for note in source.notes:
         warn(note)
+    if source.is_tiled:
+        raise DatasetError(f"Import stopped: {ONE_IMAGE} {NOTHING_WRITTEN}")
     for field in source.fields:
         name = field.name if len(source.fields) > 1 or options.pattern is not None else "the source"
         _require_frames(sum(None not in slot for slot in field.slots), name)
@@ -537,6 +539,9 @@ def _require_overlap(fraction: float) -> None:
 def _require_free(target: Path) -> None:
     if target.exists():
         raise DatasetError(f"{target} exists already. {NOTHING_WRITTEN} Choose another name.")
+
+
+ONE_IMAGE = "each field has one image, and heights need a stack: make one picture of them with stitch-images."
 
 
 def _require_frames(n_frames: int, source: str) -> None:

@@ -93,6 +93,31 @@ def write_pyramids(path: Path, images: Sequence[PyramidImage], header: PyramidHe
             _write_image(file, image, header, path.parent)
 
 
+def write_picture(path: Path, image: PyramidImage, header: PyramidHeader, *, with_levels: bool) -> None:
+    """Write a single image: with levels as OME-TIFF, without as a plain TIFF with its pixel size and facts as JSON."""
+    import tifffile
+
+    if with_levels:
+        write_pyramids(path, [image], header)
+        return
+    per_cm = _UM_PER_CM / header.pixel_um
+    n_bytes = int(np.prod(image.shape, dtype=np.int64)) * image.dtype.itemsize
+    tifffile.imwrite(
+        path,
+        _tiles(image.bands, image.shape[1], image.dtype),
+        shape=image.shape,
+        dtype=image.dtype,
+        tile=(TILE_PX, TILE_PX),
+        bigtiff=n_bytes > _CLASSIC_BYTES,
+        photometric="minisblack",
+        compression="zlib",
+        resolution=(per_cm, per_cm),
+        resolutionunit="CENTIMETER",
+        description=header.facts,
+        metadata=None,
+    )
+
+
 def _write_image(file: TiffWriter, image: PyramidImage, header: PyramidHeader, folder: Path) -> None:
     shapes = _shapes(image.shape)
     bands = image.bands

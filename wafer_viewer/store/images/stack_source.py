@@ -82,6 +82,11 @@ class ImportSource:
     order_is_stated: bool
     notes: tuple[str, ...]
 
+    @property
+    def is_tiled(self) -> bool:
+        """True for several fields of a single image each, which have no z step."""
+        return len(self.fields) > 1 and all(len(field.slots) == 1 for field in self.fields)
+
 
 def read_source(src: Paths, options: ImageOptions) -> ImportSource:
     """Return the stacks of a folder, a file or a list of files.
@@ -166,7 +171,8 @@ def _planes_in_order(src: Paths, options: ImageOptions) -> tuple[FrameOrder, lis
     if 1 < len(files) == len(alone) == len({plane.z_um for plane in alone}) and not options.as_listed:
         ordered = sorted(alone, key=lambda plane: plane.z_um or 0.0)
         return FrameOrder(tuple(plane.path for plane in ordered)), [replace(p, k=n) for n, p in enumerate(ordered)]
-    if len(files) > 1 and all(len(planes) > 1 for planes in by_file.values()):
+    several = len(files) > 1 and all(len(planes) > 1 for planes in by_file.values())
+    if several or _are_tiles(by_file, options):
         return FrameOrder(tuple(files)), _stacks(by_file, options)
     order = FrameOrder(tuple(files))
     if len(files) > 1 and not options.as_listed:
@@ -182,6 +188,15 @@ def _planes_in_order(src: Paths, options: ImageOptions) -> tuple[FrameOrder, lis
             found.setdefault((plane.path, plane.page), replace(plane, k=k + plane.k, z_um=z_um))
         k += 1 + max((plane.k for plane in planes), default=0)
     return order, list(found.values())
+
+
+def _are_tiles(by_file: Mapping[Path, Sequence[ImagePlane]], options: ImageOptions) -> bool:
+    """Return whether each file is one image at a place of its own, by a table or by what it states."""
+    planes = [plane for own in by_file.values() for plane in own]
+    if not 1 < len(by_file) == len(planes):
+        return False
+    places = {(plane.x_um, plane.y_um) for plane in planes if None not in (plane.x_um, plane.y_um)}
+    return options.places is not None or len(places) == len(planes)
 
 
 def _stacks(by_file: Mapping[Path, Sequence[ImagePlane]], options: ImageOptions) -> list[ImagePlane]:
@@ -383,7 +398,7 @@ def _fields(
     """Sort planes onto fields and slots in rising z."""
     by_field = _grouped(planes, lambda plane: plane.position)
     z_source = "names of the files" if order.z_um is not None else "positions of the planes"
-    step, notes = _step(by_field, says, z_source, options)
+    step, notes = _step(by_field, says, z_source, options, _have_no_z(by_field))
     if step.source == "given" and options.overrule:
         by_field = {name: [replace(plane, z_um=None) for plane in own] for name, own in by_field.items()}
         planes = []
@@ -401,9 +416,9 @@ def _grouped(planes: Iterable[ImagePlane], key: Callable[[ImagePlane], K]) -> di
 
 
 def _step(
-    by_field: Mapping[str, list[ImagePlane]], says: Statements, source: str, options: ImageOptions
+    by_field: Mapping[str, list[ImagePlane]], says: Statements, source: str, options: ImageOptions, tiled: bool
 ) -> tuple[Stated[float], list[str]]:
-    """Return the z step, under 0 where k goes down. Raises DatasetError when unknown, 0, or contradicted."""
+    """Return the z step, under 0 where k goes down; 1 of tiles. Raises DatasetError when unknown, 0 or contradicted."""
     stated = _stated_step(by_field, source)
     notes: list[str] = []
     if stated is not None and says.z_step_um is not None:
@@ -428,9 +443,16 @@ def _step(
             _agreed("z step", " um", "--z-step-um", given, stated, options)
         return stated, notes
     agreed = _agreed("z step", " um", "--z-step-um", given, stated, options)
+    if agreed is None and tiled:
+        return Stated(1.0, "none"), notes
     if agreed is None:
         raise UnsettledValue("The z step is missing: give it with --z-step-um, the images do not say it.", "z step")
     return agreed, notes
+
+
+def _have_no_z(by_field: Mapping[str, list[ImagePlane]]) -> bool:
+    """Return whether there are several fields, each of one image."""
+    return len(by_field) > 1 and all(len({plane.k for plane in own}) == 1 for own in by_field.values())
 
 
 _SAME_STEP, _LIKE_STEP = 0.02, 1.5
@@ -465,7 +487,7 @@ def _fields_by_cell(
     ]
     cells = {str(one.cell): one.cell for one in named}
     by_field = _grouped(planes, lambda plane: plane.position)
-    step, notes = _step(by_field if by_z else {}, says, "names of the files", options)
+    step, notes = _step(by_field if by_z else {}, says, "names of the files", options, _have_no_z(by_field))
     ks, exposures = (sorted({getattr(plane, part) for plane in planes}) for part in ("k", "exposure"))
     fields: list[SourceField] = []
     for name in sorted(by_field, key=cells.__getitem__):
