@@ -11,6 +11,7 @@ import struct
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,8 @@ def _surface(opened: Any, kind: MakerFile, options: ReadOptions) -> HeightMap:
         raise options.refuse("holds profiles or an image and no surface: give a file with a surface.")
     pitches_um = options.pitches_um(*_pitches_um(sizes, raw.shape, lateral, metadata, kind, options))
     z_um = scaled(options, raw, options.z_scale_um(unit))
-    _note_doubts(raw, z_um, pitches_um, metadata, kind, options)
+    _require_stated_range(raw, metadata, kind, unit or "", options)
+    _note_doubts(z_um, pitches_um, options)
     z_um, pixel_um = on_square_pixels(options, z_um, *pitches_um)
     options.notes.append(f"SurfaceTopography read it as {kind.title}.")
     return heights_only(options, z_um, pixel_um, 0.0, 0.0, None)
@@ -158,23 +160,38 @@ def _pitches_um(
     return pitches[0], pitches[1]
 
 
-def _note_doubts(
-    raw: NDArray[np.float64],
-    z_um: NDArray[np.float32],
-    pitches_um: tuple[float, float],
-    metadata: dict[str, Any],
-    kind: MakerFile,
-    options: ReadOptions,
+def _require_stated_range(
+    raw: NDArray[np.float64], metadata: dict[str, Any], kind: MakerFile, unit: str, options: ReadOptions
 ) -> None:
-    """Add a note where heights contradict what the file states of them, or its scale is doubtful."""
+    """Raise DatasetError where heights go beyond the range that the header states of them."""
     known = raw[np.isfinite(raw)]
-    if not known.size:
+    if not known.size or kind.reader not in _COUNTS:
         return
-    if kind.reader == "sur" and metadata["inversion"] == 0:
-        count = abs(metadata["height_scale_factor"])
-        slack = (0.01 * (metadata["zmax"] - metadata["zmin"]) + 2) * count
-        if known.min() < metadata["zmin"] * count - slack or known.max() > metadata["zmax"] * count + slack:
-            options.notes.append("Its heights go beyond the range that its header states: check them.")
+    count = _COUNTS[kind.reader](metadata)
+    low, high = (metadata[name] * (count if kind.reader == "sur" else 1) for name in ("zmin", "zmax"))
+    if kind.reader == "sur" and metadata["inversion"]:
+        low, high = 0.0 - high, 0.0 - low
+    slack = _RANGE_COUNTS * count + 1e-6 * max(abs(low), abs(high))
+    if known.min() < low - slack or known.max() > high + slack:
+        raise options.refuse(
+            f"states heights from {low:.6g} to {high:.6g} {unit} in its header, and has {known.min() + 0.0:.6g} to "
+            f"{known.max() + 0.0:.6g} {unit}: save it anew in the program that made it, or export it as X3P."
+        )
+
+
+_COUNTS: dict[str, Callable[[dict[str, Any]], float]] = {
+    "sur": lambda metadata: abs(metadata["height_scale_factor"]),
+    "nms": lambda metadata: abs(metadata["zmax"] - metadata["zmin"]) / (2**16 - 2),
+}
+"""Step of the stored numbers, of the kinds whose header states the range of heights."""
+_RANGE_COUNTS = 2
+"""Steps by which heights may go beyond it, as writers round both."""
+
+
+def _note_doubts(z_um: NDArray[np.float32], pitches_um: tuple[float, float], options: ReadOptions) -> None:
+    """Add a note where the scale of heights is doubtful."""
+    if not np.isfinite(z_um).any():
+        return
     range_um, width_um = float(np.nanmax(z_um) - np.nanmin(z_um)), max(np.array(pitches_um) * z_um.shape[::-1])
     if range_um > _STEEPEST * width_um:
         options.notes.append(f"Its heights span {range_um:.4g} um over {width_um:.4g} um: check its units and gaps.")
