@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -85,6 +86,44 @@ def test_a_file_dropped_on_the_page_opens_the_dialog(serve: Callable[[FakeSessio
     eventually(lambda: bool(session.exchange.looked), "the file is looked at")
     (sent,), _ = session.exchange.looked[-1]
     assert sent.name == "scan.csv"
+
+
+def test_several_files_dropped_on_the_page_are_a_stack(serve: Callable[[FakeSession], Page], stack: Path) -> None:
+    session = looking_session(fake.planned())
+    page = serve(session)
+    images = sorted(stack.glob("img_*.tif"))[:9]
+    dropped = """files => {
+      const carried = new DataTransfer();
+      for (const [name, base64] of files) {
+        carried.items.add(new File([Uint8Array.from(atob(base64), c => c.charCodeAt(0))], name));
+      }
+      document.body.dispatchEvent(new DragEvent('drop', { dataTransfer: carried, bubbles: true, cancelable: true }));
+    }"""
+    contents = [[path.name, base64.b64encode(path.read_bytes()).decode()] for path in reversed(images)]
+    page.evaluate(dropped, contents)
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("the z step is missing")
+    (sources, _), *others = session.exchange.looked
+    assert not others, "they are looked at when the last has arrived"
+    assert [path.name for path in sources] == [path.name for path in images]
+    expect(dialog.locator(".wv-imp-strip img")).to_have_count(9)
+
+
+def test_the_lines_of_a_text_are_chosen_in_the_dialog(serve: Callable[[FakeSession], Page], tmp_path: Path) -> None:
+    text = tmp_path / "heights.txt"
+    text.write_text("\n".join(f"{k} {k % 3} {k % 5} {k % 4}" for k in range(12)))
+    session = looking_session(fake.planned())
+    page = serve(session)
+    press(page, "Import…")
+    dialog = page.get_by_role("dialog")
+    type_into(page, "Path", str(text))
+    expect(dialog).to_contain_text("take matrix under Lines if they are rows of heights")
+    dialog.get_by_label("Lines").click()
+    page.get_by_role("option", name="rows of a matrix").click()
+    type_into(page, "Pixel, µm", "2")
+    type_into(page, "z unit", "um")
+    expect(dialog.locator("code")).to_contain_text("--table matrix")
+    expect(dialog.locator(".wv-imp-shown")).to_contain_text("4 × 12 points")
 
 
 def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(

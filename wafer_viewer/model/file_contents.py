@@ -22,12 +22,14 @@ class FrameFact:
     """One frame in the order of its z.
 
     name: of its file; empty where the frame is missing. z_um: from the lowest, None if unknown. sharpness: at places
-    spread over the frame, each from 0 to 1 of its sharpest; empty if it was not asked for.
+    spread over the frame, each from 0 to 1 of its sharpest; empty if it was not asked for. key: by which the stored
+    image is known again until its file changes; empty if it was not looked at.
     """
 
     name: str
     z_um: float | None
     sharpness: tuple[float, ...] = ()
+    key: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ class FakeExchange(Recording):
         if self.looks:
             try:
                 found = look_at_files(srcs, options, says, MOST_PICTURES)
-                over = done(ImportLook.of(*found, Path("/tmp/wafers") / f"{srcs[0].stem}.wafer"))
+                over = done(ImportLook.of(*found[:2], Path("/tmp/wafers") / f"{srcs[0].stem}.wafer"))
             except DatasetError as fault:
                 over = refused(fault)
         return done(RunningWork(f"look-{len(self.looked)}", over))

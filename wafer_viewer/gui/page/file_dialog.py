@@ -88,6 +88,7 @@ class FileList:
         self._listing_id = 0
         self._shown: Listing | None = None
         self._sent: dict[str, Path] = {}
+        self._expected = 1
         gui = self._page.gui
         self._places = HtmlBlock(gui)
         self._list = HtmlBlock(gui, padded=False)
@@ -117,8 +118,8 @@ class FileList:
     def chosen(self) -> tuple[Path, ...]:
         """Return the paths in the field, all of which exist. Raises DatasetError if there is none."""
         texts = _texts(self.field.value)
-        if len(texts) == 1 and (sent := self._sent.get(texts[0])) is not None:
-            return (sent,)
+        if texts and set(texts) <= self._sent.keys():
+            return tuple(self._sent[text] for text in texts)
         return tuple(self._browsing.existing(text, self._base) for text in texts)
 
     def existing(self, text: str) -> Path:
@@ -162,10 +163,17 @@ class FileList:
         self.field.value = name
         self.go(self._folder)
 
-    def put(self, path: Path, called: str) -> None:
-        """Choose a file that the browser uploaded."""
-        self.field.value = called
-        self._sent = {called: path}
+    def expect(self, n_files: int) -> None:
+        """Take the next files that the browser uploads together."""
+        self._expected, self._sent = n_files, {}
+
+    def put(self, path: Path, called: str) -> bool:
+        """Choose a file that the browser uploaded, with those expected before it; return True for the last of them."""
+        if len(self._sent) >= self._expected:
+            self.expect(1)
+        self._sent[called] = path
+        self.field.value = _text_of([Path(name) for name in self._sent])
+        return len(self._sent) == self._expected
 
     def write_to(self, path: Path, write: Callable[[], None]) -> None:
         """Write a file; confirm before an existing file is replaced, with the dialog open behind."""
@@ -189,9 +197,12 @@ class FileList:
 
         @upload.on_upload
         def _(event: Any) -> None:
-            self.put(save_upload(event.target.value), event.target.value.name)
-            self._status.show(_status_line(f"{event.target.value.name} was sent and is chosen."))
-            if then is not None:
+            called = event.target.value.name
+            is_last = self.put(save_upload(event.target.value), called)
+            n_sent, expected = len(self._sent), self._expected
+            sent = f"{called} was sent and is chosen." if expected == 1 else f"{n_sent} of {expected} files were sent."
+            self._status.show(_status_line(sent))
+            if then is not None and is_last:
                 then()
 
     def _refuse_upload(self, name: str) -> None:
@@ -357,7 +368,8 @@ def _texts(text: str) -> list[str]:
 
 
 def _text_of(paths: list[Path]) -> str:
-    return str(paths[0]) if len(paths) == 1 else shlex.join(f"{path}" for path in paths)
+    """Return the text of a field with these paths; of several each is quoted, as `_texts` takes them apart."""
+    return str(paths[0]) if len(paths) == 1 else " ".join(shlex.quote(f"{path} ")[:-2] + "'" for path in paths)
 
 
 def _has_look(entry: FileEntry) -> bool:

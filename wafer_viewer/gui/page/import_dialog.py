@@ -40,19 +40,8 @@ def import_dialog(page: Page) -> None:
 
 
 def take_drops(page: Page) -> None:
-    """Open the import dialog on a file that is dropped on the page; the browser sends it to the dialog."""
-
-    def dropped(n_files: str) -> None:
-        import_dialog(page)
-        _warn_of_several(page, n_files)
-
-    page.on_pick("import-drop", dropped)
-
-
-def _warn_of_several(page: Page, n_files: str) -> None:
-    if n_files != "1":
-        text = "Copy a folder of images to the computer of the viewer and choose it there."
-        page.say("Only the first file is sent", text, "attention")
+    """Open the import dialog on files that are dropped on the page; the browser sends them to the dialog."""
+    page.on_pick("import-drop", lambda n_files: ImportDialog(page).expect(n_files))
 
 
 class ImportDialog:
@@ -87,7 +76,7 @@ class ImportDialog:
         self._files.field.on_update(lambda _: self.changed())
         page.on_pick("import-toggle", self._toggle)
         page.on_pick("import-other", lambda _: self._choose_other())
-        page.on_pick("import-drop", lambda n_files: _warn_of_several(page, n_files))
+        page.on_pick("import-drop", self.expect)
         self._unsubscribe = page.session.subscribe(self._show_progress)
         page.on_close(self._leave)
 
@@ -103,6 +92,7 @@ class ImportDialog:
         self._choices = {axis: self._dropdown(axis) for axis in ("channel", "time", "position")}
         self._unit = gui.add_text("z unit", "", visible=False)
         self._depths = gui.add_checkbox("Depths", False, visible=False)
+        self._table = gui.add_dropdown("Lines", tuple(words.TABLES.values()), visible=False)
         self._facts = HtmlBlock(gui)
         self._place_head = HtmlBlock(gui, html.head("Place on the sample"))
         self._place = HtmlBlock(gui)
@@ -114,7 +104,7 @@ class ImportDialog:
         self._only = gui.add_text("Only", "", hint="Files to take, by a pattern of their names such as img_*.png")
         self._name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
         texts = (self._unit, self._depths, self._pattern, self._places, self._only, self._name)
-        for handle in (self._light.handle, self._columns.handle, self._order, self._corner, *texts):
+        for handle in (self._light.handle, self._columns.handle, self._order, self._corner, self._table, *texts):
             handle.on_update(self._edited)
 
     def _dropdown(self, axis: str) -> Any:
@@ -125,6 +115,10 @@ class ImportDialog:
         return handle
 
     # --- what a person does
+
+    def expect(self, n_files: str) -> None:
+        """Wait for so many files that were dropped, before they are looked at."""
+        self._files.expect(int(n_files))
 
     def changed(self) -> None:
         """Look at the chosen files as soon as path and values rest; until then the import itself checks them."""
@@ -197,7 +191,12 @@ class ImportDialog:
 
     def _reading(self) -> Reading:
         unit = self._unit.value.strip() or None
-        return Reading(z_unit=unit, pixel_um=self._values["pixel size"].typed, invert_z=self._depths.value)
+        return Reading(
+            z_unit=unit,
+            pixel_um=self._values["pixel size"].typed,
+            invert_z=self._depths.value,
+            table=_key_of(words.TABLES, self._table.value) or None,
+        )
 
     def _names(self, axis: str) -> tuple[str, ...]:
         choices = () if self._look is None else self._look.contents.choices
@@ -309,7 +308,7 @@ class ImportDialog:
             set_prop(handle, "visible", images)
         for handle in (self._columns.handle, self._order, self._corner):
             set_prop(handle, "visible", images and ("{n" in self._pattern.value or "{series" in self._pattern.value))
-        for handle in (self._unit, self._depths):
+        for handle in (self._unit, self._depths, self._table):
             set_prop(handle, "visible", not images)
         for axis, handle in self._choices.items():
             names = self._names(axis)
@@ -322,7 +321,7 @@ class ImportDialog:
         self._place.show(words.place_html(contents))
 
 
-def _key_of(names: Mapping[str, str], shown: str) -> str:
+def _key_of(names: Mapping[Any, str], shown: str) -> Any:
     """Return the key of what a drop-down shows."""
     return next(key for key, name in names.items() if name == shown)
 

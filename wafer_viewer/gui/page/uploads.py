@@ -22,7 +22,7 @@ from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES, UploadStart
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.model.errors import DatasetError
 
-MOST_KEPT, MOST_KEPT_BYTES = 8, 2 * MOST_UPLOAD_BYTES
+MOST_KEPT, MOST_KEPT_BYTES = 1000, 2 * MOST_UPLOAD_BYTES
 KEPT_S = 8 * 3600.0
 """Files kept at once, their size, and the time for which each is kept: a shift."""
 _PREFIX = "wafer-viewer-sent-"

@@ -37,6 +37,7 @@ LABELS = {
     "--columns": "Columns",
     "--places": "Place table",
     "--z-unit": "z unit",
+    "--table": "Lines",
     "--as-listed": "Take all files",
 }
 """Labels of the dialog by the flags of the command line, which messages name."""
@@ -46,6 +47,7 @@ FIELDS_OF_FACTS = "pixel size", "z step", "numerical aperture"
 
 _KNOWN = "|".join(LABELS)
 _PHRASES = (
+    (r"give --table (\w+)", r"take \1 under Lines"),
     (r", as in (--(?:channel|time|position)) '.*?', or its number, from 0", r" under \1"),
     (r"leave (--[\w-]+) out", r"empty \1"),
     (r"give --overrule", "take the typed values"),
@@ -311,6 +313,10 @@ CORNERS = {
 """Words of the dialog for the order of running numbers, and for the corner in which they begin."""
 
 
+TABLES = {"": "found out", "points": "points by x, y, z", "matrix": "rows of a matrix"}
+"""Words of the dialog for the meaning of the lines of a text file."""
+
+
 def place_html(contents: FileContents | None) -> Markup:
     """Return the drawing of the fields on the sample, with the size of the whole, and what mirrors them."""
     if contents is None or contents.kind != "images":
@@ -403,7 +409,7 @@ def command_line(
     """Return the command that makes the same import, or the same picture."""
     words = ["wafer-viewer", "stitch-images" if is_tiled else "import", *map(str, sources)]
     given = {name: getattr(options, name) for name in options.__struct_fields__}
-    given |= {"z_unit": says.z_unit, "invert_z": says.invert_z}
+    given |= {"z_unit": says.z_unit, "invert_z": says.invert_z, "table": says.table}
     standard = ImageOptions()
     for name, value in given.items():
         if value == getattr(standard, name, None) or value is False or value is None:

@@ -64,27 +64,33 @@ window.addEventListener('change', event => {
   event.target.value = '';
   window.wvReport('file-too-large', file.name);
 }, true);
-/* A file dropped on the page opens the import dialog, and is sent there as by its button. */
+/* Files dropped on the page open the import dialog, and are sent there as by its button, one after the other. */
 const DROP_MS = 100, DROP_TRIES = 50;
 const hasFile = event => [...event.dataTransfer?.types ?? []].includes('Files');
-const send = (chosen, tries) => {
+const send = (files, tries) => {
   const input = document.querySelector('.mantine-Modal-content:has(.wv-import) input[type=file]');
-  if (!input) {
-    if (tries) setTimeout(() => send(chosen, tries - 1), DROP_MS);
+  if (!input || input.parentElement.querySelector('button')?.disabled) {
+    if (tries || input) setTimeout(() => send(files, input ? DROP_TRIES : tries - 1), DROP_MS);
     return;
   }
-  if (input.disabled) return;
+  const chosen = new DataTransfer();
+  chosen.items.add(files[0]);
   input.files = chosen.files;
   input.dispatchEvent(new Event('change', { bubbles: true }));
+  if (files.length > 1) setTimeout(() => send(files.slice(1), DROP_TRIES), DROP_MS);
 };
 window.addEventListener('dragover', event => { if (hasFile(event)) event.preventDefault(); }, true);
 window.addEventListener('drop', event => {
   if (!hasFile(event) || !event.dataTransfer.files.length) return;
   consume(event);
-  const chosen = new DataTransfer();
-  chosen.items.add(event.dataTransfer.files[0]);
-  window.wvReport('import-drop', event.dataTransfer.files.length);
-  send(chosen, DROP_TRIES);
+  const files = [...event.dataTransfer.files];
+  files.sort((a, b) => a.name.localeCompare(b.name, 'en', { numeric: true }));
+  if (files.reduce((sum, file) => sum + file.size, 0) > FACTS.mostUpload) {
+    window.wvReport('file-too-large', files.length > 1 ? `A drop of ${files.length} files` : files[0].name);
+    return;
+  }
+  window.wvReport('import-drop', files.length);
+  send(files, DROP_TRIES);
 }, true);
 window.addEventListener('keydown', event => {
   const list = last('.wv-files');

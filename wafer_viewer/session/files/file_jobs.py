@@ -37,6 +37,7 @@ from wafer_viewer.session.core.dataset_library import (
 )
 from wafer_viewer.session.reporting.report import contents, make_report
 from wafer_viewer.session.surface.worker_tasks import (
+    SeenFrames,
     export_fields,
     export_surface,
     import_images,
@@ -194,6 +195,7 @@ class FileJobs:
             open_dataset,
         )
         self._looks = set[str]()
+        self._seen = SeenFrames()
 
     @query
     def is_surface(self, path: Path) -> bool:
@@ -218,12 +220,14 @@ class FileJobs:
         out = self._new_dataset(name, srcs[0].stem if srcs else "import")
         files = tuple(Path(src).absolute() for src in srcs)
         title = f"Look at {srcs[0].name if len(srcs) == 1 else f'{len(srcs)} files'}"
-        work = self._background.run(title, look_at_files, files, options, says, MOST_PICTURES)
+        work = self._background.run(title, look_at_files, files, options, says, MOST_PICTURES, self._seen)
         self._looks.add(work.id)
         work.done.add_done_callback(lambda _: self._looks.discard(work.id))
-        return RunningWork(
-            work.id, self._command_queue.then(work.done, lambda found: ImportLook.of(found[0], found[1], out))
-        )
+        return RunningWork(work.id, self._command_queue.then(work.done, lambda found: self._looked(found, out)))
+
+    def _looked(self, found: tuple[FileContents, Mapping[int, bytes], SeenFrames], out: Path) -> ImportLook:
+        contents, thumbnails, self._seen = found
+        return ImportLook.of(contents, thumbnails, out)
 
     @observer_command
     def stop_look(self, work_id: str) -> None:

@@ -6,9 +6,13 @@ Pixels are passed through the dataset, never through the scheduler. The command 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.image_source import ImageOptions
@@ -224,27 +228,53 @@ def stitch_images(
     return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFrames:
+    """Frames that a look at files has read: sharpness and thumbnail by `FrameFact.key`."""
+
+    sharpness: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
+
+    def of_the_last(self) -> SeenFrames:
+        """Return at most `MOST_SEEN` frames, the last ones."""
+        keys = list(self.pictures)[-MOST_SEEN:]
+        return SeenFrames({key: self.sharpness[key] for key in keys}, {key: self.pictures[key] for key in keys})
+
+
+MOST_SEEN = 2000
+"""Frames that are known again: 10 MB of thumbnails."""
+
+
 def look_at_files(
     srcs: Sequence[Path],
     options: ImageOptions,
     says: Reading,
     most_pictures: int,
+    seen: SeenFrames = SeenFrames(),
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
-) -> tuple[FileContents, dict[int, bytes]]:
-    """Return what files hold that may be imported, and thumbnails of frames, spread over z, by their number."""
+) -> tuple[FileContents, dict[int, bytes], SeenFrames]:
+    """Return what files hold that may be imported, thumbnails of frames, spread over z, by number, and what was seen.
+
+    seen: by an earlier look; frames whose file is unchanged are not read again.
+    """
     from wafer_viewer.store.dataset.file_contents import file_contents
     from wafer_viewer.store.dataset.preview import thumbnail_jpeg
 
-    pictures = dict[int, bytes]()
+    read, sharpness = dict[int, bytes](), dict(seen.sharpness)
 
     def keep(k: int, image: Image) -> None:
-        pictures[k] = thumbnail_jpeg(image)
+        read[k] = thumbnail_jpeg(image)
 
     paths = srcs[0] if len(srcs) == 1 else tuple(srcs)
-    found = file_contents(paths, options, says, on_frame=keep, progress=progress, should_stop=should_stop)
-    return found, {k: pictures[k] for k in spread_frames(found.frames, most_pictures) if k in pictures}
+    found = file_contents(
+        paths, options, says, on_frame=keep, progress=progress, should_stop=should_stop, seen=sharpness
+    )
+    pictures = {**seen.pictures, **{found.frames[k].key: jpeg for k, jpeg in read.items()}}
+    frames = {k: found.frames[k].key for k in spread_frames(found.frames, most_pictures)}
+    thumbnails = {k: pictures[key] for k, key in frames.items() if key in pictures}
+    return found, thumbnails, SeenFrames(sharpness, pictures).of_the_last()
 
 
 def spread_frames(frames: Sequence[FrameFact], most: int) -> tuple[int, ...]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +22,9 @@ from wafer_viewer.numerics.frame_sequence import place_sharpness
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.stack_import import OVERLAP_FRACTION, placed_fields
 from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
-from wafer_viewer.store.images.image_files import Paths, image_files, planes_of
+from wafer_viewer.store.images.image_files import Paths, PlanesOf, image_files, planes_of
 from wafer_viewer.store.images.stack_source import ImportSource, SourceField, UnsettledValue, order_doubt, read_source
+from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
 OnFrame = Callable[[int, Image], None]
 DATASET_ENDING = ".wafer"
@@ -41,6 +44,7 @@ def file_contents(
     on_frame: OnFrame | None = None,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
+    seen: dict[str, NDArray[np.float64]] | None = None,
 ) -> FileContents:
     """Return what a source of images or heights contains, and what has to be settled before it is imported.
 
@@ -62,6 +66,8 @@ def file_contents(
         Receives the completed fraction, 0 to 1.
     should_stop : callable, optional
         Returns True if the work should stop.
+    seen : dict, optional
+        Sharpness of frames by `FrameFact.key`, from an earlier call, which are not read again; completed.
 
     Returns
     -------
@@ -78,7 +84,7 @@ def file_contents(
         return _of_dataset(alone)
     if alone is not None and is_surface_file(alone):
         return _of_surface(alone, reading, progress, should_stop)
-    return _of_images(src, options, look, on_frame, progress, should_stop)
+    return _of_images(src, options, look, _Look(on_frame, progress, should_stop, {} if seen is None else seen))
 
 
 def _alone(src: Paths) -> Path | None:
@@ -132,21 +138,24 @@ def _of_surface(
 # --- images
 
 
-def _of_images(
-    src: Paths,
-    options: ImageOptions,
-    look: bool,
-    on_frame: OnFrame | None,
-    progress: Progress | None,
-    should_stop: ShouldStop | None,
-) -> FileContents:
-    files = image_files(src)
-    planes = [plane for path in files for plane in planes_of(path)]
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Look at the frames; seen: sharpness by key."""
+
+    on_frame: OnFrame | None
+    progress: Progress | None
+    should_stop: ShouldStop | None
+    seen: dict[str, NDArray[np.float64]]
+
+
+def _of_images(src: Paths, options: ImageOptions, look: bool, how: _Look) -> FileContents:
+    files, read = image_files(src), cache(planes_of)
+    planes = [plane for path in files for plane in read(path)]
     first = planes[0].read()
     choices = tuple(_choices(planes))
     facts = tuple(_facts(planes, first, choices))
     found = FileContents(_name(src), "images", facts, choices=choices)
-    source, refusals = _read(src, options)
+    source, refusals = _read(src, options, read)
     doubts = tuple(dict.fromkeys(str(refusal) for refusal in refusals))
     unsettled = {refusal.name: refusal for refusal in refusals if isinstance(refusal, UnsettledValue)}
     found = replace(found, doubts=doubts, unsettled=tuple(unsettled))
@@ -159,9 +168,9 @@ def _of_images(
         few = f"There are {n_frames} frames: at least {MIN_FRAMES} are needed to find a focus peak."
         found = replace(found, doubts=(*doubts, few))
     elif source.is_tiled:
-        _shown_tiles(source, on_frame if look else None)
+        frames = _shown_tiles(frames, source, how) if look else frames
     elif look:
-        frames, contradictions = _looked_at(frames, field, source, on_frame, progress, should_stop)
+        frames, contradictions = _looked_at(frames, field, source, how)
         found = replace(found, doubts=(*doubts, *contradictions))
     taken = [plane for one in source.fields for slot in one.slots for plane in slot if plane is not None]
     taken_files = {plane.path for plane in taken}
@@ -183,7 +192,7 @@ def _of_images(
     )
 
 
-def _read(src: Paths, options: ImageOptions) -> tuple[ImportSource | None, list[DatasetError]]:
+def _read(src: Paths, options: ImageOptions, planes_of: PlanesOf) -> tuple[ImportSource | None, list[DatasetError]]:
     """Return the images with what has to be settled; a placeholder stands for each value that is open.
 
     None where it is something else than a value.
@@ -191,7 +200,7 @@ def _read(src: Paths, options: ImageOptions) -> tuple[ImportSource | None, list[
     refusals = list[DatasetError]()
     while len(refusals) < _MOST_REFUSALS:
         try:
-            return read_source(src, options), refusals
+            return read_source(src, options, planes_of), refusals
         except UnsettledValue as refusal:
             refusals.append(refusal)
             options = _settled(options, refusal)
@@ -284,38 +293,52 @@ def _tiles(source: ImportSource) -> tuple[FrameFact, ...]:
     return tuple(FrameFact("" if plane is None else plane.name, None) for plane in planes)
 
 
-def _shown_tiles(source: ImportSource, on_frame: OnFrame | None) -> None:
-    """Pass some of the single images on, spread over the fields."""
-    n_fields = len(source.fields)
-    for n in np.unique(np.linspace(0, n_fields - 1, min(n_fields, SHOWN_TILES)).astype(int)).tolist():
+def _shown_tiles(frames: tuple[FrameFact, ...], source: ImportSource, how: _Look) -> tuple[FrameFact, ...]:
+    """Look at some of the single images, spread over the fields; return them with their keys."""
+    shown = list(frames)
+    for n in np.unique(np.linspace(0, len(shown) - 1, min(len(shown), SHOWN_TILES)).astype(int)).tolist():
         plane = source.fields[n].slots[0][0]
-        if plane is not None and on_frame is not None:
-            on_frame(n, plane.read())
+        if plane is not None:
+            shown[n] = replace(shown[n], key=_key(plane))
+            _place_sharpness(n, plane, shown[n].key, how)
+    return tuple(shown)
+
+
+def _key(plane: ImagePlane) -> str:
+    """Return what changes with the file of a plane: its path, page, size and time."""
+    with os_errors_as_dataset_errors(plane.path):
+        state = plane.path.stat()
+    return f"{plane.path}|{plane.page}|{plane.name}|{state.st_size}|{state.st_mtime_ns}"
+
+
+def _place_sharpness(k: int, plane: ImagePlane, key: str, how: _Look) -> NDArray[np.float64]:
+    """Return the sharpness of a frame, which is read unless it was seen."""
+    if key not in how.seen:
+        image = plane.read()
+        how.seen[key] = place_sharpness(image)
+        if how.on_frame is not None:
+            how.on_frame(k, image)
+    return how.seen[key]
 
 
 def _looked_at(
     frames: tuple[FrameFact, ...],
     field: SourceField,
     source: ImportSource,
-    on_frame: OnFrame | None,
-    progress: Progress | None,
-    should_stop: ShouldStop | None,
+    how: _Look,
 ) -> tuple[tuple[FrameFact, ...], list[str]]:
     """Return the frames with their sharpness, and a doubt where it contradicts their order."""
     there = [(k, slot[0]) for k, slot in enumerate(field.slots) if slot[0] is not None]
-    told = with_progress(there, len(there), "Looking at the images", progress, should_stop)
-    seen = list[NDArray[np.float64]]()
+    told = with_progress(there, len(there), "Looking at the images", how.progress, how.should_stop)
+    known, seen = list(frames), list[NDArray[np.float64]]()
     for k, plane in told:
-        image = plane.read()
-        seen.append(place_sharpness(image))
-        if on_frame is not None:
-            on_frame(k, image)
+        known[k] = replace(known[k], key=_key(plane))
+        seen.append(_place_sharpness(k, plane, known[k].key, how))
     if len({len(one) for one in seen}) > 1:
-        return frames, ["The images have several sizes: give those of one size."]
+        return tuple(known), ["The images have several sizes: give those of one size."]
     sharpness = np.stack(seen)
     places = _shown_places(sharpness)
     shown = sharpness[:, places] / (sharpness[:, places].max(0) + 1e-12)
-    known = list(frames)
     for (k, _), row in zip(there, shown, strict=True):
         known[k] = replace(known[k], sharpness=tuple(float(value) for value in row))
     if source.order_is_stated:

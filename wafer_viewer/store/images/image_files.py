@@ -40,6 +40,7 @@ NOTHING_WRITTEN = "Nothing was written."
 _PLAIN_PHOTOMETRICS = (1, 2, 6)
 """Grey with black 0, RGB, and YCbCr, which is decoded on reading: TIFF kinds whose values need no conversion."""
 Paths = str | Path | Sequence[str | Path]
+PlanesOf = Callable[[Path], tuple[ImagePlane, ...]]
 
 
 def image_files(src: Paths) -> list[Path]:

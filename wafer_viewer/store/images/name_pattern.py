@@ -10,7 +10,7 @@ from pathlib import Path
 from wafer_viewer.model.acquisition.image_source import ImagePlane
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.image_formats import READ
-from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, image_files, planes_of
+from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, PlanesOf, image_files, planes_of
 
 Cell = tuple[int, int]
 """(row, col) as numbered in the files; a running number n is (0, n)."""
@@ -32,7 +32,7 @@ class NamedPlane:
     plane: ImagePlane
 
 
-def planes_by_pattern(src: Paths, pattern: str) -> list[NamedPlane]:
+def planes_by_pattern(src: Paths, pattern: str, planes_of: PlanesOf = planes_of) -> list[NamedPlane]:
     """Return the planes of all images, with field, frame and exposure as the pattern reads them from the names.
 
     A pattern without ``{k}`` and ``{z}`` uses the pages of each file. A pattern with a slash is matched to the path
@@ -46,7 +46,7 @@ def planes_by_pattern(src: Paths, pattern: str) -> list[NamedPlane]:
     expression = compile_pattern(pattern)
     found: dict[tuple[Cell, float, int], NamedPlane] = {}
     for path, name in _named_files(src, "/" in pattern):
-        for named in _planes_of_file(path, name, expression, pattern):
+        for named in _planes_of_file(path, name, expression, pattern, planes_of):
             plane = named.plane
             key = named.cell, plane.k if plane.z_um is None or "{z}" not in pattern else plane.z_um, plane.exposure
             if key in found:
@@ -95,7 +95,9 @@ def _named_files(src: Paths, deep: bool) -> list[tuple[Path, str]]:
     return [(path, path.relative_to(folder).as_posix()) for path, folder in below]
 
 
-def _planes_of_file(path: Path, name: str, expression: re.Pattern[str], pattern: str) -> Sequence[NamedPlane]:
+def _planes_of_file(
+    path: Path, name: str, expression: re.Pattern[str], pattern: str, planes_of: PlanesOf
+) -> Sequence[NamedPlane]:
     match = expression.fullmatch(name)
     if match is None:
         why = f"its name does not fit the pattern {pattern!r}"

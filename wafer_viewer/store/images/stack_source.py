@@ -22,7 +22,7 @@ from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.numerics.frame_sequence import contradicting_order
 from wafer_viewer.store.images.frame_names import FrameOrder, frame_order
-from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, image_files, planes_of
+from wafer_viewer.store.images.image_files import NOTHING_WRITTEN, Paths, PlanesOf, image_files, planes_of
 from wafer_viewer.store.images.name_pattern import Cell, NamedPlane, planes_by_pattern
 from wafer_viewer.store.images.tile_places import matched, mirrored, numbered_cells, places_of
 
@@ -88,7 +88,7 @@ class ImportSource:
         return len(self.fields) > 1 and all(len(field.slots) == 1 for field in self.fields)
 
 
-def read_source(src: Paths, options: ImageOptions) -> ImportSource:
+def read_source(src: Paths, options: ImageOptions, planes_of: PlanesOf = planes_of) -> ImportSource:
     """Return the stacks of a folder, a file or a list of files.
 
     Parameters
@@ -97,6 +97,8 @@ def read_source(src: Paths, options: ImageOptions) -> ImportSource:
         Folder of images, image file, or several of them.
     options : ImageOptions
         Values and choices of the user.
+    planes_of : callable
+        Returns the planes of a file; one that remembers them reads no header twice.
 
     Returns
     -------
@@ -110,11 +112,11 @@ def read_source(src: Paths, options: ImageOptions) -> ImportSource:
         or times and none is chosen, a length is unknown, or what is given contradicts the files.
     """
     if options.pattern is not None:
-        named = planes_by_pattern(src, options.pattern)
+        named = planes_by_pattern(src, options.pattern, planes_of)
         order, planes = FrameOrder(()), [one.plane for one in named]
     else:
         named = []
-        order, planes = _planes_in_order(src, options)
+        order, planes = _planes_in_order(src, options, planes_of)
     if not planes:
         raise DatasetError(f"Import stopped: no images were given. {NOTHING_WRITTEN} Name a folder, a file or several.")
     named_z = order.z_um is not None or (options.pattern is not None and "{z}" in options.pattern)
@@ -159,7 +161,7 @@ def _listed_files(src: Paths, options: ImageOptions) -> tuple[list[Path], bool]:
     return files, listed and not folders
 
 
-def _planes_in_order(src: Paths, options: ImageOptions) -> tuple[FrameOrder, list[ImagePlane]]:
+def _planes_in_order(src: Paths, options: ImageOptions, planes_of: PlanesOf) -> tuple[FrameOrder, list[ImagePlane]]:
     """Return the planes of all files, each once, and the order of the files.
 
     Where every file is one frame, its place in the order is its k, and missing numbers are gaps in k. Files that hold a
