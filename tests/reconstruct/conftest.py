@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.reconstruct.frame_blocks import Correction, Frames, Part, read_part
+from wafer_viewer.reconstruct.frame_blocks import Correction, Frames, StackWindow, read_part
 
 PIXEL_UM = 0.5
 _SHARPEST_PX, _PX_PER_UM = 0.8, 0.3
@@ -35,7 +35,7 @@ def correction(frames: Frames, kind: type[Kind]) -> Kind | None:
 
 def whole_field(frames: Frames) -> NDArray:
     """All pixels of all frames, corrected."""
-    return read_part(frames, Part(*(slice(0, n) for n in frames.shape)))
+    return read_part(frames, StackWindow(*(slice(0, n) for n in frames.shape)))
 
 
 def _blurred(levels: NDArray, height_um: NDArray, z_um: float) -> NDArray:

@@ -17,7 +17,7 @@ from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, coarse_step, largest_gap, search_block
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, developed
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, developed
 from wafer_viewer.reconstruct.gates.edge_bleeding import EdgeSearch, edge_search_for
 from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, Gate, gate_for, origins
@@ -282,7 +282,7 @@ def _tiles(frames: Frames, search: Search) -> Iterator[tuple[ThreadScratch, Peak
     bench = ThreadScratch.make(frames.n_frames, shape, search, frames.dtype)
     peaks = Peaks.empty(shape, frames.dtype)
     tiles = [
-        Part(slice(top, top + shape[0]), slice(left, left + shape[1]))
+        StackWindow(slice(top, top + shape[0]), slice(left, left + shape[1]))
         for top in _starts(n_rows, shape[0])
         for left in _starts(n_cols, shape[1])
     ]

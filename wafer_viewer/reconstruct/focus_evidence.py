@@ -21,7 +21,7 @@ from wafer_viewer.reconstruct.field_pipeline import (
 )
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import ThreadScratch, search_block
-from wafer_viewer.reconstruct.frame_blocks import Part, developed, read_part
+from wafer_viewer.reconstruct.frame_blocks import StackWindow, developed, read_part
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide
 from wafer_viewer.reconstruct.gates.gate import POWERS, GateTest
@@ -98,7 +98,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the focus measure of a pixel in each frame, as a fraction of its maximum, and its grey values."""
-    frames, search, pixel = field.frames, field.tuned.search, Part(slice(row, row + 1), slice(col, col + 1))
+    frames, search, pixel = field.frames, field.tuned.search, StackWindow(slice(row, row + 1), slice(col, col + 1))
     bench = ThreadScratch.make(frames.n_frames, (1, 1), search, frames.dtype)
     for _, block in developed(frames, [pixel], search.margin_px):
         search_block(block, frames.z_um, search, bench, Peaks.empty((1, 1), frames.dtype))

@@ -29,7 +29,7 @@ _TOGETHER_PX = 1 << 18
 """Pixels of neighbouring frames that are corrected together: they fit the L2 cache."""
 
 
-class Part(NamedTuple):
+class StackWindow(NamedTuple):
     """Rows and columns of a field, or of a part of it, in a range of its frames."""
 
     rows: slice
@@ -58,7 +58,7 @@ class StackSource(NamedTuple):
         return cls(view, slots, top, left, clipped_counts)
 
 
-class StoredFrames(NamedTuple):
+class StoredImages(NamedTuple):
     """Stored images [slot, row, col] with the slot of each frame in use, [k]."""
 
     images: Image
@@ -70,7 +70,7 @@ class StoredFrames(NamedTuple):
         return in_place[(as_slice(self.slots[frames]), *window)]
 
 
-class Pixels(NamedTuple):
+class FramePixels(NamedTuple):
     """Pixels of a few frames on their way through the corrections.
 
     layers: [n, row, col] of each of the stored stacks, a single one from the fusion on; window: rows and columns of the
@@ -78,7 +78,7 @@ class Pixels(NamedTuple):
     """
 
     layers: tuple[Image, ...]
-    stored: tuple[StoredFrames, ...]
+    stored: tuple[StoredImages, ...]
     frames: slice
     window: Window
     wanted: Window
@@ -98,7 +98,7 @@ class Correction(ABC):
         return wanted
 
     @abstractmethod
-    def applied(self, pixels: Pixels) -> Pixels:
+    def applied(self, pixels: FramePixels) -> FramePixels:
         """Return the corrected pixels."""
 
 
@@ -115,7 +115,7 @@ class Frames:
     part of a field.
     """
 
-    stored: tuple[StoredFrames, ...]
+    stored: tuple[StoredImages, ...]
     z_um: NDArray[np.float64]
     clipped_counts: int
     shape: tuple[int, int]
@@ -134,7 +134,7 @@ class Frames:
     def of(cls, images: Image, slots: NDArray[np.intp], z_um: NDArray[np.float64], clipped_counts: int) -> Frames:
         """Return frames without corrections, in these slots of the images."""
         shape, dtype = (images.shape[1], images.shape[2]), images.dtype.newbyteorder("=")
-        return cls((StoredFrames(images, slots),), z_um, clipped_counts, shape, dtype)
+        return cls((StoredImages(images, slots),), z_um, clipped_counts, shape, dtype)
 
     @property
     def n_frames(self) -> int:
@@ -186,7 +186,7 @@ class Frames:
         return dataclasses.replace(self, shape=(bottom - top, right - left), corner=(top, left), shading=shading)
 
 
-def developed(frames: Frames, parts: Iterable[Part], margin: int) -> Iterator[tuple[Part, StackSource]]:
+def developed(frames: Frames, parts: Iterable[StackWindow], margin: int) -> Iterator[tuple[StackWindow, StackSource]]:
     """Yield parts of a field as blocks for kernels that read `margin` pixels beyond them.
 
     The memory of a block is used again for the next one. Threads may share an iterator of parts, each with a loop of
@@ -206,7 +206,7 @@ def developed(frames: Frames, parts: Iterable[Part], margin: int) -> Iterator[tu
         yield part, StackSource.of(block, np.arange(len(block)), margin, margin, frames.clipped_counts)
 
 
-def read_part(frames: Frames, part: Part, margin: int = 0) -> Image:
+def read_part(frames: Frames, part: StackWindow, margin: int = 0) -> Image:
     """Return the corrected pixels [k, row, col] of a part and a margin; beyond the field its border repeats.
 
     Without a margin they are a view where the stored pixels need no correction.
@@ -217,9 +217,9 @@ def read_part(frames: Frames, part: Part, margin: int = 0) -> Image:
     return _filled(np.empty(_shape(frames, part, margin), frames.dtype), frames, part, margin)
 
 
-def stripes(shape: tuple[int, int], rows: int) -> list[Part]:
+def stripes(shape: tuple[int, int], rows: int) -> list[StackWindow]:
     """Split a field into parts of `rows` complete rows; the last part may be smaller."""
-    return [Part(part, slice(0, shape[1])) for part in row_parts(shape[0], rows)]
+    return [StackWindow(part, slice(0, shape[1])) for part in row_parts(shape[0], rows)]
 
 
 def row_parts(n_rows: int, rows: int) -> list[slice]:
@@ -237,7 +237,7 @@ def as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
     return slice(int(index[0]), stop if stop >= 0 else None, step)
 
 
-def _in_field(frames: Frames, part: Part) -> Window:
+def _in_field(frames: Frames, part: StackWindow) -> Window:
     """Return the rows and columns of the field; those of a part of it begin at its corner."""
     return _moved(part.rows, frames.corner[0]), _moved(part.cols, frames.corner[1])
 
@@ -246,12 +246,12 @@ def _moved(part: slice, by: int) -> slice:
     return slice(part.start + by, part.stop + by)
 
 
-def _shape(frames: Frames, part: Part, margin: int) -> tuple[int, int, int]:
+def _shape(frames: Frames, part: StackWindow, margin: int) -> tuple[int, int, int]:
     n_rows, n_cols = (n.stop - n.start + 2 * margin for n in (part.rows, part.cols))
     return len(range(frames.n_frames)[part.frames]), n_rows, n_cols
 
 
-def _filled(block: Image, frames: Frames, part: Part, margin: int) -> Image:
+def _filled(block: Image, frames: Frames, part: StackWindow, margin: int) -> Image:
     """Fill a block with the corrected pixels of a part and a margin.
 
     Beyond the field its border pixels repeat, so that the kernels need no border handling.
@@ -277,7 +277,7 @@ def _corrected(frames: Frames, together: slice, wanted: Window) -> Image:
     for correction in reversed(frames.corrections):
         window = correction.window(together, window)
     layers = tuple(stored.read(together, window) for stored in frames.stored)
-    pixels = Pixels(layers, frames.stored, together, window, wanted)
+    pixels = FramePixels(layers, frames.stored, together, window, wanted)
     for correction in frames.corrections:
         pixels = correction.applied(pixels)
     return pixels.layers[0]

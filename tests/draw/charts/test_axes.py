@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.draw.charts.axes import Axes, Axis, PlotLook, plot_html, round_ticks
+from wafer_viewer.draw.charts.axes import Axis, ChartAxes, PlotLook, plot_html, round_ticks
 
 ENDS = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6)).map(lambda pair: (pair[0], pair[0] + pair[1]))
 
@@ -45,7 +45,7 @@ def test_values_beyond_the_ends_stay_on_the_axis():
 
 
 def test_every_tick_has_a_grid_line_and_a_label_at_its_place():
-    axes = Axes.stretched((0.0, 40.0), (0.0, 2.0), round_ticks((0.0, 40.0), 4), round_ticks((0.0, 2.0), 2))
+    axes = ChartAxes.stretched((0.0, 40.0), (0.0, 2.0), round_ticks((0.0, 40.0), 4), round_ticks((0.0, 2.0), 2))
     drawn = plot_html(axes, PlotLook("Plot", "y", "x"), "<b/>")
     lines = re.search(r'd="([^"]*)" stroke="var\(--line\)"', drawn)[1]
     assert re.findall(r"M([\d.]+) 0V1000", lines) == [f"{250 * k:.1f}" for k in range(5)]
@@ -55,7 +55,7 @@ def test_every_tick_has_a_grid_line_and_a_label_at_its_place():
 
 
 def test_labels_in_a_drawing_of_fixed_size_stand_below_and_left_of_the_plot():
-    axes = Axes(Axis((0.0, 1.0), (58, 664), ((1.0, "1"),)), Axis((0.0, 1.0), (174, 8), ((0.0, "0"),)))
+    axes = ChartAxes(Axis((0.0, 1.0), (58, 664), ((1.0, "1"),)), Axis((0.0, 1.0), (174, 8), ((0.0, "0"),)))
     assert axes.frame() == "M58 8H664V174H58Z"
     assert axes.labels_svg() == (
         '<text x="664.0" y="188" text-anchor="middle">1</text><text x="52" y="178.0" text-anchor="end">0</text>'

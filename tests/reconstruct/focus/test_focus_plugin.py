@@ -24,7 +24,7 @@ from wafer_viewer.reconstruct.focus import peak_search
 from wafer_viewer.reconstruct.focus.focus_measures import focus_kernels
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, noise_scores, search_block, search_field
-from wafer_viewer.reconstruct.frame_blocks import Part, StackSource, developed
+from wafer_viewer.reconstruct.frame_blocks import StackSource, StackWindow, developed
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 NAME = "laplacian_variance"
@@ -161,7 +161,7 @@ def test_blocks_equal_the_whole_frame(added, plane_stack: FieldStack) -> None:
     expected = np.rint(512 * (np.log2(full) + 64)).astype(int)
     n_rows, cols = frames.shape
     for rows, columns in ((0, 0), (3, 90), (40, 61), (n_rows - 32, cols - 32), (0, cols - 32)):
-        part = Part(slice(rows, rows + 32), slice(columns, columns + 32))
+        part = StackWindow(slice(rows, rows + 32), slice(columns, columns + 32))
         bench = ThreadScratch.make(frames.n_frames, (32, 32), search, frames.dtype)
         for _, block in developed(frames, [part], search.margin_px):
             search_block(block, frames.z_um, search, bench, Peaks.empty((32, 32), frames.dtype))

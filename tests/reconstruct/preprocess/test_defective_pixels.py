@@ -12,7 +12,7 @@ from tests.reconstruct.conftest import correction, whole_field
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.frame_blocks import Part, developed, read_part
+from wafer_viewer.reconstruct.frame_blocks import StackWindow, developed, read_part
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 from wafer_viewer.reconstruct.preprocess.sensor_faults import Flaws
 
@@ -63,7 +63,7 @@ def test_blocks_and_parts_are_mended_alike(plane_stack: FieldStack) -> None:
     frames = prepare(flawed(plane_stack, slice(None), 60, 255))
     full = whole_field(frames)
     assert full[:, :, 60].max() < 255
-    part = read_part(frames.part(slice(30, 60), slice(40, 100)), Part(slice(5, 25), slice(10, 50)))
+    part = read_part(frames.part(slice(30, 60), slice(40, 100)), StackWindow(slice(5, 25), slice(10, 50)))
     np.testing.assert_array_equal(part, full[:, 35:55, 50:90])
 
 
@@ -78,7 +78,7 @@ def test_a_flawed_stack_gives_what_one_gives_whose_flaws_were_mended_before(plan
 def test_rows_without_a_flaw_are_read_where_they_lie(plane_stack: FieldStack) -> None:
     frames = prepare(flawed(plane_stack, *FLAWS["hot pixel"]), Recipe(drift="none"))
     cols, stored = slice(0, frames.shape[1]), frames.stored[0].images
-    parts = [Part(rows, cols) for rows in (slice(0, 30), slice(36, 60), slice(0, 25), slice(0, 26))]
+    parts = [StackWindow(rows, cols) for rows in (slice(0, 30), slice(36, 60), slice(0, 25), slice(0, 26))]
     near, far, above, touching = (block.images for _, block in developed(frames, parts, 5))
     assert not np.shares_memory(near, stored)
     assert np.shares_memory(far, stored)
@@ -92,7 +92,7 @@ def test_some_frames_and_downward_ones_are_mended_as_all_are(plane_stack: FieldS
     rows, cols = slice(10, 30), slice(50, 61)
     expected = mended_before(stack).images[4:9, rows, cols]
     for one in (stack, turned):
-        part = read_part(prepare(one, Recipe(drift="none")), Part(rows, cols, slice(4, 9)))
+        part = read_part(prepare(one, Recipe(drift="none")), StackWindow(rows, cols, slice(4, 9)))
         np.testing.assert_array_equal(part, expected)
 
 

@@ -16,7 +16,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.frame_blocks import Part, read_part
+from wafer_viewer.reconstruct.frame_blocks import StackWindow, read_part
 from wafer_viewer.reconstruct.preprocess.drift import Drift
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
@@ -134,8 +134,8 @@ def test_blocks_and_parts_are_read_as_the_whole(wide_stack: FieldStack) -> None:
     frames = prepare(moved(wide_stack, 20 * EVENLY, 5 * EVENLY, 0.004 * EVENLY))
     full = whole_field(frames)
     rows, cols = slice(96, 144), slice(40, 300)
-    np.testing.assert_array_equal(read_part(frames, Part(rows, cols), 5), full[:, 91:149, 35:305])
-    inner = read_part(frames.part(rows, cols), Part(slice(20, 28), slice(30, 230)))
+    np.testing.assert_array_equal(read_part(frames, StackWindow(rows, cols), 5), full[:, 91:149, 35:305])
+    inner = read_part(frames.part(rows, cols), StackWindow(slice(20, 28), slice(30, 230)))
     np.testing.assert_array_equal(inner, full[:, 116:124, 70:270])
 
 

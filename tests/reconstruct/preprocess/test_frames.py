@@ -15,7 +15,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.sml_tenengrad_glv import focus_block
-from wafer_viewer.reconstruct.frame_blocks import Part, read_part
+from wafer_viewer.reconstruct.frame_blocks import StackWindow, read_part
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 
@@ -66,7 +66,7 @@ def test_border_pixels_repeat_beyond_the_frame(plane_stack: FieldStack) -> None:
     frames = prepare(plane_stack)
     padded = np.pad(plane_stack.images, ((0, 0), (5, 5), (5, 5)), mode="edge")
     for rows, cols in ((slice(0, 20), slice(0, 30)), (slice(80, 96), slice(100, 128)), (slice(40, 50), slice(60, 70))):
-        block = read_part(frames, Part(rows, cols), 5)
+        block = read_part(frames, StackWindow(rows, cols), 5)
         np.testing.assert_array_equal(block, padded[:, rows.start : rows.stop + 10, cols.start : cols.stop + 10])
 
 

@@ -112,7 +112,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True)
-class Axes:
+class ChartAxes:
     """Two axes: x to the right, y upwards. The span of y is its foot and its top, since y grows downwards in SVG."""
 
     x: Axis
@@ -121,7 +121,7 @@ class Axes:
     @classmethod
     def stretched(
         cls, x: Ends, y: Ends, x_ticks: tuple[Tick, ...], y_ticks: tuple[Tick, ...], side: float = SIDE
-    ) -> Axes:
+    ) -> ChartAxes:
         """Return axes over a whole square drawing, which `plot_html` stretches."""
         return cls(Axis(x, (0, side), x_ticks), Axis(y, (side, 0), y_ticks))
 
@@ -192,7 +192,7 @@ class PlotLook:
     style: str = ""
 
 
-def plot_html(axes: Axes, look: PlotLook, drawn: str, over: str = "") -> Markup:
+def plot_html(axes: ChartAxes, look: PlotLook, drawn: str, over: str = "") -> Markup:
     """Return a plot that fills its container.
 
     Parameters

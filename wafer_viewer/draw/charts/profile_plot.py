@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.axes import Axes, Axis, Ends, Floats, PlotLook, line_svg, plot_html, round_ticks
+from wafer_viewer.draw.charts.axes import Axis, ChartAxes, Ends, Floats, PlotLook, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.colormaps import BRUSH, PROFILE_COLOURS
 from wafer_viewer.draw.number_format import number, round_step, share, with_unit
 from wafer_viewer.model.file_contents import FrameFact
@@ -32,7 +32,7 @@ _LEAST_NAMED, _APART_PERCENT = 0.05, 16
 def focus_plot_html(curve: FocusCurve, height_px: int, over: str = "") -> Markup:
     """Return the plot at `height_px`; `over` is HTML that covers the curve area."""
     ends_um = curve.z_um[0], curve.z_um[-1]
-    axes = Axes.stretched(ends_um, (0.0, _FOCUS_HEADROOM), round_ticks(ends_um, 7), _Y_TICKS)
+    axes = ChartAxes.stretched(ends_um, (0.0, _FOCUS_HEADROOM), round_ticks(ends_um, 7), _Y_TICKS)
     look = PlotLook("Focus curve", "Focus, % of the peak", "z, µm", top_px=6, style=f"height:{height_px}px")
     drawn = Markup("").join(
         (_peak_line(axes, curve), _line(axes, curve), *(_ring(axes, rival) for rival in curve.rivals))
@@ -55,7 +55,7 @@ def sharpness_plot_html(frames: Sequence[FrameFact], height_px: int) -> Markup:
     z_um = [frame.z_um if known and frame.z_um is not None else float(n) for n, frame in enumerate(frames)]
     margin = _Z_MARGIN * (max(z_um) - min(z_um))
     ends = min(z_um) - margin, max(z_um) + margin
-    axes = Axes.stretched(ends, (0.0, 1.06), round_ticks(ends, 8), _SHARPNESS_TICKS)
+    axes = ChartAxes.stretched(ends, (0.0, 1.06), round_ticks(ends, 8), _SHARPNESS_TICKS)
     x_title = "z, µm" if known else "frame"
     look = PlotLook("Sharpness", "sharpness", x_title, top_px=4, style=f"height:{height_px}px")
     n_places = max((len(frame.sharpness) for frame in frames), default=0)
@@ -67,7 +67,7 @@ def sharpness_plot_html(frames: Sequence[FrameFact], height_px: int) -> Markup:
 _SHARPNESS_TICKS = ((0.0, "0"), (0.5, "0.5"), (1.0, "1"))
 
 
-def _gap(axes: Axes, z_um: Sequence[float], n: int) -> Markup:
+def _gap(axes: ChartAxes, z_um: Sequence[float], n: int) -> Markup:
     """Return the band from the frame before a missing one to the frame after it, half-way."""
     low, high = ((z_um[n] + z_um[min(max(m, 0), len(z_um) - 1)]) / 2 for m in (n - 1, n + 1))
     left, right = sorted((axes.x.at(low), axes.x.at(high)))
@@ -78,7 +78,7 @@ def _gap(axes: Axes, z_um: Sequence[float], n: int) -> Markup:
     ).format(left, top, right - left, foot - top)
 
 
-def _place_curve(axes: Axes, z_um: Sequence[float], frames: Sequence[FrameFact], place: int) -> Markup:
+def _place_curve(axes: ChartAxes, z_um: Sequence[float], frames: Sequence[FrameFact], place: int) -> Markup:
     """Return the curve of one place, which breaks where a frame is missing."""
     points = [
         f"{axes.x.at(z):.1f} {axes.y.at(frame.sharpness[place]):.1f}" if len(frame.sharpness) > place else ""
@@ -93,11 +93,11 @@ def _place_curve(axes: Axes, z_um: Sequence[float], frames: Sequence[FrameFact],
     ).format(colour, line, dots)
 
 
-def _point(axes: Axes, z_um: float, focus: float) -> str:
+def _point(axes: ChartAxes, z_um: float, focus: float) -> str:
     return f"{axes.x.at(axes.x.within(z_um)):.1f} {axes.y.at(focus):.1f}"
 
 
-def _line(axes: Axes, curve: FocusCurve) -> Markup:
+def _line(axes: ChartAxes, curve: FocusCurve) -> Markup:
     points = [_point(axes, z, focus) for z, focus in zip(curve.z_um, curve.focus, strict=True)]
     return line_svg(f"M{'L'.join(points)}", "accent", 1.8) + _focus_dots(points, "accent", 4.6)
 
@@ -107,7 +107,7 @@ def _focus_dots(points: list[str], colour: str, width_px: float) -> Markup:
     return line_svg(Markup("").join(f"M{p}h.01" for p in points), colour, width_px, Markup('stroke-linecap="round"'))
 
 
-def _peak_line(axes: Axes, curve: FocusCurve) -> Markup:
+def _peak_line(axes: ChartAxes, curve: FocusCurve) -> Markup:
     dashes = Markup() if curve.height_um is not None else Markup('stroke-dasharray="5 4"')
     return line_svg(axes.upright(axes.x.within(curve.peak_z_um)), _peak_colour(curve), 1.6, dashes)
 
@@ -116,18 +116,18 @@ def _peak_colour(curve: FocusCurve) -> str:
     return "good" if curve.height_um is not None else "attention"
 
 
-def _ring(axes: Axes, rival: Rival) -> Markup:
+def _ring(axes: ChartAxes, rival: Rival) -> Markup:
     points = [_point(axes, rival.z_um, rival.share)]
     return _focus_dots(points, "attention", 10) + _focus_dots(points, "panel", 6)
 
 
-def _peak_label(axes: Axes, curve: FocusCurve) -> Markup:
+def _peak_label(axes: ChartAxes, curve: FocusCurve) -> Markup:
     believed = "" if curve.height_um is not None else ", not believed"
     text = f"peak {with_unit(curve.peak_z_um, 2, signed=True)}{believed}"
     return _plot_label(_percent(axes, curve.peak_z_um), "top:-1px", _peak_colour(curve), text)
 
 
-def _named(axes: Axes, curve: FocusCurve) -> list[Rival]:
+def _named(axes: ChartAxes, curve: FocusCurve) -> list[Rival]:
     """Return the rivals that have space for a label, the highest first."""
     named: list[Rival] = []
     for rival in curve.rivals:
@@ -139,12 +139,12 @@ def _named(axes: Axes, curve: FocusCurve) -> list[Rival]:
     return named
 
 
-def _rival_label(axes: Axes, rival: Rival) -> Markup:
+def _rival_label(axes: ChartAxes, rival: Rival) -> Markup:
     where = f"top:calc({axes.y.percent(rival.share):.2f}% - 20px)"
     return _plot_label(_percent(axes, rival.z_um), where, "attention", f"rival {share(rival.share, 0)}")
 
 
-def _percent(axes: Axes, z_um: float) -> float:
+def _percent(axes: ChartAxes, z_um: float) -> float:
     return axes.x.percent(axes.x.within(z_um))
 
 
@@ -273,7 +273,7 @@ def profile_plot_html(
     brush_um: tuple[float, float] | None = None,
 ) -> Markup:
     """Return the plot, which fills its container. brush_um: a height range highlighted on the curves."""
-    axes = Axes.stretched(frame.x_um, frame.z_um, round_ticks(frame.x_um, 11), round_ticks(frame.z_um, 5), _SIDE)
+    axes = ChartAxes.stretched(frame.x_um, frame.z_um, round_ticks(frame.x_um, 11), round_ticks(frame.z_um, 5), _SIDE)
     points = Markup("").join(_dots(section.points, frame, axes) for section in sections if section.points is not None)
     ordered = sorted(sections, key=lambda section: section.asked.is_second)
     curves = points + Markup("").join(_curve(section, frame, axes) for section in ordered)
@@ -288,7 +288,7 @@ def profile_plot_html(
     return plot_html(axes, look, Markup("<g>{}</g>{}").format(curves, cursors))
 
 
-def _dots(points: SlabPoints, frame: ProfileFrame, axes: Axes) -> Markup:
+def _dots(points: SlabPoints, frame: ProfileFrame, axes: ChartAxes) -> Markup:
     """Return the points of a slab as dots; the running median is drawn over them."""
     x_um, z_um = dots(points, frame)
     pixels = np.rint(np.column_stack([axes.x.at(x_um), axes.y.at(z_um)])).astype(int).tolist()
@@ -297,7 +297,7 @@ def _dots(points: SlabPoints, frame: ProfileFrame, axes: Axes) -> Markup:
     return Markup('<path class="wv-slab-points" data-points="{}" d="{}" {}/>').format(len(points), d, look)
 
 
-def _curve(section: Section, frame: ProfileFrame, axes: Axes) -> Markup:
+def _curve(section: Section, frame: ProfileFrame, axes: ChartAxes) -> Markup:
     second = section.asked.is_second
     d = _path_of_runs(section, frame, axes)
     colour = PROFILE_COLOURS[section.asked.place]
@@ -317,7 +317,7 @@ def _curve(section: Section, frame: ProfileFrame, axes: Axes) -> Markup:
     )
 
 
-def _band(axes: Axes, brush_um: tuple[float, float]) -> Markup:
+def _band(axes: ChartAxes, brush_um: tuple[float, float]) -> Markup:
     """Return the brushed range as a band behind the curves."""
     foot, top = (axes.y.at(axes.y.within(z)) for z in brush_um)
     return Markup(
@@ -325,7 +325,7 @@ def _band(axes: Axes, brush_um: tuple[float, float]) -> Markup:
     ).format(top=top, side=_SIDE, foot=foot, brush=BRUSH)
 
 
-def _brushed(section: Section, frame: ProfileFrame, axes: Axes, brush_um: tuple[float, float]) -> Markup:
+def _brushed(section: Section, frame: ProfileFrame, axes: ChartAxes, brush_um: tuple[float, float]) -> Markup:
     """Return the parts of a curve within the brushed range."""
     z = section.curve.z_um
     curve = replace(section.curve, z_um=np.where((z >= brush_um[0]) & (z <= brush_um[1]), z, np.nan))
@@ -334,7 +334,7 @@ def _brushed(section: Section, frame: ProfileFrame, axes: Axes, brush_um: tuple[
     return Markup('<path class="wv-brushed" d="{}" {}/>').format(d, look) if d else Markup()
 
 
-def _path_of_runs(section: Section, frame: ProfileFrame, axes: Axes) -> str:
+def _path_of_runs(section: Section, frame: ProfileFrame, axes: ChartAxes) -> str:
     """Return the measured segments in drawing units; a single point is drawn as a dot."""
     d = ""
     for x_um, z_um in runs(section, frame):
@@ -344,7 +344,7 @@ def _path_of_runs(section: Section, frame: ProfileFrame, axes: Axes) -> str:
     return d
 
 
-def _cursor(axes: Axes, at_um: float) -> Markup:
+def _cursor(axes: ChartAxes, at_um: float) -> Markup:
     return Markup('<path class="wv-cursor" d="{}" stroke="var(--ink)" stroke-width="1.2"/>').format(axes.upright(at_um))
 
 
@@ -357,7 +357,7 @@ _INK, _SOFT, _LINE = "#15202B", "#445463", "#DCE3EA"
 def profile_svg(section: Section) -> Markup:
     """Return the plot of one profile, distance and height in um, scaled to the available width."""
     frame = frame_of([section])
-    axes = Axes(
+    axes = ChartAxes(
         Axis(frame.x_um, (_LEFT, _WIDTH - _RIGHT), round_ticks(frame.x_um, 10)),
         Axis(frame.z_um, (_HEIGHT - _FOOT, _TOP), round_ticks(frame.z_um, 6)),
     )
@@ -386,7 +386,7 @@ def profile_svg(section: Section) -> Markup:
     )
 
 
-def _printed_curve(section: Section, frame: ProfileFrame, axes: Axes) -> Markup:
+def _printed_curve(section: Section, frame: ProfileFrame, axes: ChartAxes) -> Markup:
     """Return each measured segment as a separate path; a single point is a dot."""
     pieces: list[str] = []
     for x_um, z_um in runs(section, frame, _MOST_POINTS):

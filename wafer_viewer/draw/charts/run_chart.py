@@ -11,7 +11,7 @@ from datetime import datetime
 
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.axes import Axes, PlotLook, Tick, line_svg, plot_html, round_ticks
+from wafer_viewer.draw.charts.axes import ChartAxes, PlotLook, Tick, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.number_format import value_and_u
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import ChartPoint, RunChart
@@ -65,21 +65,23 @@ def _lines(chart: RunChart) -> list[_Line]:
     return lines + [_Line(um, "mean ± 3 s", "attention", 1.1, _DOTS) for um in controls]
 
 
-def _axes(chart: RunChart, points: Sequence[ChartPoint]) -> Axes:
+def _axes(chart: RunChart, points: Sequence[ChartPoint]) -> ChartAxes:
     """Return the axes: errors over the number of the check, each in the middle of its interval."""
     values = [line.um for line in _lines(chart)]
     values += [p.value.value_um + side * (p.value.expanded_um or 0.0) for p in points for side in (-1, 1)]
     low, high = min(values), max(values)
     room = _ROOM * (high - low) or 0.1
     ends_um = low - room, high + room
-    return Axes.stretched((-0.5, len(points) - 0.5), ends_um, _days(points), round_ticks(ends_um, _MOST_Y, signed=True))
+    return ChartAxes.stretched(
+        (-0.5, len(points) - 0.5), ends_um, _days(points), round_ticks(ends_um, _MOST_Y, signed=True)
+    )
 
 
-def _level(axes: Axes, line: _Line) -> Markup:
+def _level(axes: ChartAxes, line: _Line) -> Markup:
     return line_svg(axes.level(line.um), line.colour, line.width_px, line.dashes)
 
 
-def _bars(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
+def _bars(axes: ChartAxes, points: Sequence[ChartPoint]) -> Markup:
     """Return the U of every check as a vertical line through its point."""
     measured = [
         (k, p.value.value_um, p.value.expanded_um) for k, p in enumerate(points) if p.value.expanded_um is not None
@@ -88,14 +90,14 @@ def _bars(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
     return line_svg(upright, "ink3", 1.2, Markup('opacity=".55"')) if upright else Markup()
 
 
-def _connecting_line(axes: Axes, points: Sequence[ChartPoint]) -> Markup:
+def _connecting_line(axes: ChartAxes, points: Sequence[ChartPoint]) -> Markup:
     """Return the line that connects the checks, without the failed ones."""
     good = [(k, p.value.value_um) for k, p in enumerate(points) if p.verdict != "fail"]
     d = "L".join(f"{axes.x.at(k):.1f} {axes.y.at(um):.1f}" for k, um in good)
     return line_svg(f"M{d}", "accent", 1.6, Markup('opacity=".75"')) if len(good) > 1 else Markup()
 
 
-def _dot(axes: Axes, k: int, point: ChartPoint, attributes: str, chosen: str) -> Markup:
+def _dot(axes: ChartAxes, k: int, point: ChartPoint, attributes: str, chosen: str) -> Markup:
     position = f"left:{axes.x.percent(k):.2f}%;top:{axes.y.percent(point.value.value_um):.2f}%"
     look = f"{point.verdict.replace(' ', '-')}{' sel' if point.at == chosen else ''}{' breaks' if point.breaks else ''}"
     title = _point_title(point)
@@ -127,7 +129,7 @@ def _day(point: ChartPoint) -> str:
     return f"{moment.day} {moment:%b}"
 
 
-def _names(axes: Axes, lines: Sequence[_Line]) -> str:
+def _names(axes: ChartAxes, lines: Sequence[_Line]) -> str:
     """Return the line labels at the right ends; a label without space is omitted."""
     placed: list[float] = []
     words = ""
@@ -175,7 +177,7 @@ def history_chart_html(points: Sequence[HistoryPoint], name: str, quantity: str)
     return plot_html(axes, look, drawn, dots)
 
 
-def _history_axes(points: Sequence[HistoryPoint]) -> Axes:
+def _history_axes(points: Sequence[HistoryPoint]) -> ChartAxes:
     """Return the axes: values over the number of the calibration, each in the middle of its interval."""
     ends = [p.value + side * p.expanded for p in points for side in (-1, 1)]
     low, high = min(ends), max(ends)
@@ -183,4 +185,4 @@ def _history_axes(points: Sequence[HistoryPoint]) -> Axes:
     limits = low - room, high + room
     every = -(-len(points) // _MOST_DAYS)
     days: tuple[Tick, ...] = tuple((k, p.day) for k, p in enumerate(points) if k % every == 0)
-    return Axes.stretched((-0.5, len(points) - 0.5), limits, days, round_ticks(limits, _MOST_Y))
+    return ChartAxes.stretched((-0.5, len(points) - 0.5), limits, days, round_ticks(limits, _MOST_Y))

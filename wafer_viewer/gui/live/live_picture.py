@@ -10,7 +10,7 @@ import viser
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.charts.axes import Axes, PlotLook, line_svg, plot_html, round_ticks
+from wafer_viewer.draw.charts.axes import ChartAxes, PlotLook, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.number_format import duration, length_text, number, round_length, with_unit
 from wafer_viewer.draw.surface.display_style import eight_bit
 from wafer_viewer.gui.overlays.hud import EDGE_PX
@@ -97,7 +97,7 @@ def _head(snapshot: Snapshot) -> Markup:
 
 def curve_html(look: LiveLook, snapshot: Snapshot, ends_um: tuple[float, float]) -> Markup:
     """Return the plot: the curve, the range, the present z and the best one."""
-    axes = Axes.stretched(ends_um, (0.0, 1.12), round_ticks(ends_um, 9, signed=True), _Y_TICKS)
+    axes = ChartAxes.stretched(ends_um, (0.0, 1.12), round_ticks(ends_um, 9, signed=True), _Y_TICKS)
     points, best = look.trace.points, look.trace.best
     here_um = snapshot.rig.z_um
     drawn, words = _range_area(axes, snapshot.live), [_label(axes, here_um, "ink", "here", 0)]
@@ -119,7 +119,7 @@ def curve_html(look: LiveLook, snapshot: Snapshot, ends_um: tuple[float, float])
     return plot_html(axes, look_of_plot, drawn, Markup("").join(words))
 
 
-def _curve(axes: Axes, points: tuple[tuple[float, float], ...], best: float) -> Markup:
+def _curve(axes: ChartAxes, points: tuple[tuple[float, float], ...], best: float) -> Markup:
     path, before = "", None
     for z, score in points:
         pen = "L" if before is not None and z - before <= GAP_UM else "M"
@@ -129,7 +129,7 @@ def _curve(axes: Axes, points: tuple[tuple[float, float], ...], best: float) -> 
     return line_svg(path, "accent", 2) + line_svg(dots, "accent", 4, Markup('stroke-linecap="round"'))
 
 
-def _range_area(axes: Axes, live: LiveState) -> Markup:
+def _range_area(axes: ChartAxes, live: LiveState) -> Markup:
     if live.range_um is None:
         return Markup()
     low, high = (axes.x.at(axes.x.within(um)) for um in live.range_um)
@@ -138,7 +138,7 @@ def _range_area(axes: Axes, live: LiveState) -> Markup:
     )
 
 
-def _unseen(axes: Axes, points: tuple[tuple[float, float], ...]) -> list[Markup]:
+def _unseen(axes: ChartAxes, points: tuple[tuple[float, float], ...]) -> list[Markup]:
     """Return pale areas over what was not seen at either end."""
     low, high = axes.x.percent(points[0][0]), axes.x.percent(points[-1][0])
     areas = []
@@ -151,7 +151,7 @@ def _unseen(axes: Axes, points: tuple[tuple[float, float], ...]) -> list[Markup]
     return areas
 
 
-def _label(axes: Axes, z_um: float, colour: str, text: str, row: int) -> Markup:
+def _label(axes: ChartAxes, z_um: float, colour: str, text: str, row: int) -> Markup:
     """Return a label beside its line; `row`: 0 at the top, 1 below it."""
     percent = axes.x.percent(axes.x.within(z_um))
     side = f"right:calc({100 - percent:.2f}% + 6px)" if percent > 80 else f"left:calc({percent:.2f}% + 6px)"

@@ -35,7 +35,7 @@ SETTLE_S = 0.9
 """Delay in s of a second draw after a change, when widgets moved by the user are at rest."""
 
 
-class Part(Protocol):
+class PagePart(Protocol):
     """Part of the page: updates itself, sends only changes, never blocks."""
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -72,7 +72,7 @@ class Page:
         self.unavailable: tuple[str, ...] = OPTIONAL_QUANTITIES
         self._at_close: list[Callable[[], None]] = []
         self.answers = Ask(self)
-        self._parts: Sequence[Part] = ()
+        self._parts: Sequence[PagePart] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
         self._last_pick = 0
         self._notifications: dict[str, viser.NotificationHandle | None] = {
@@ -86,7 +86,7 @@ class Page:
         self._leave = session.subscribe(lambda _: self._due.set())
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
-    def show_first(self, parts: Sequence[Part]) -> None:
+    def show_first(self, parts: Sequence[PagePart]) -> None:
         """Restore what the browser stores, waiting for its answer, and draw the slowest parts.
 
         The other parts are built meanwhile; `begin` draws them.
@@ -98,7 +98,7 @@ class Page:
             self._restore(snapshot)
             self._show(parts, snapshot)
 
-    def begin(self, parts: Sequence[Part]) -> None:
+    def begin(self, parts: Sequence[PagePart]) -> None:
         """Start the drawing thread; `parts` are drawn in this order."""
         self._parts = parts
         with self._lock:
@@ -271,7 +271,7 @@ class Page:
         self._tell_standing(snapshot)
         self._show(self._parts, snapshot)
 
-    def _show(self, parts: Sequence[Part], snapshot: Snapshot) -> None:
+    def _show(self, parts: Sequence[PagePart], snapshot: Snapshot) -> None:
         view = self.view
         for part in parts:
             guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.charts.axes import Axes, PlotLook, plot_html, round_ticks
+from wafer_viewer.draw.charts.axes import ChartAxes, PlotLook, plot_html, round_ticks
 from wafer_viewer.draw.charts.wafer_map import MapViewport, map_frame
 from wafer_viewer.draw.colormaps import Rgb, table
 from wafer_viewer.draw.number_format import THIN, duration, number, size, with_unit
@@ -216,7 +216,7 @@ def _from_the_side(shown: FollowedPlan) -> Markup:
     pad_um = 0.04 * (whole[1] - whole[0])
     ends = whole[0] - pad_um, whole[1] + pad_um
     x_mm = x_um[0] / 1000, x_um[1] / 1000
-    axes = Axes.stretched(x_mm, ends, round_ticks(x_mm, 5), round_ticks(ends, 5, signed=True))
+    axes = ChartAxes.stretched(x_mm, ends, round_ticks(x_mm, 5), round_ticks(ends, 5, signed=True))
     boxes = Markup("").join(_window(axes, shown, field, width_um, sweep) for field, _ in row)
     drawn = _dashed(axes, whole) + boxes + _band(axes, row, k, shown.blank)
     look = PlotLook(
@@ -230,7 +230,7 @@ def _from_the_side(shown: FollowedPlan) -> Markup:
     return html.head(f"Row {shown.row + 1} from the side") + html.legend(signs) + plot_html(axes, look, drawn)
 
 
-def _window(axes: Axes, shown: FollowedPlan, field: Field, width_um: float, sweep: FocusSweep) -> Markup:
+def _window(axes: ChartAxes, shown: FollowedPlan, field: Field, width_um: float, sweep: FocusSweep) -> Markup:
     low_um, high_um = field.z_start_um, sweep.top_um(field)
     x0, x1 = (axes.x.at((field.x_um + side * 0.42 * width_um) / 1000) for side in (-1, 1))
     y0, y1 = axes.y.at(high_um), axes.y.at(low_um)
@@ -241,7 +241,7 @@ def _window(axes: Axes, shown: FollowedPlan, field: Field, width_um: float, swee
     ).format(x0, y0, x1 - x0, y1 - y0, WINDOW_COLOUR, WINDOW_COLOUR, dash)
 
 
-def _dashed(axes: Axes, whole: tuple[float, float]) -> Markup:
+def _dashed(axes: ChartAxes, whole: tuple[float, float]) -> Markup:
     (left, right), (low, high) = axes.x.span, (axes.y.at(whole[0]), axes.y.at(whole[1]))
     return Markup(
         '<path d="M{left:g} {high:.1f}H{right:g}V{low:.1f}H{left:g}Z" fill="none" stroke="var(--ink3)" '
@@ -249,7 +249,7 @@ def _dashed(axes: Axes, whole: tuple[float, float]) -> Markup:
     ).format(left=left, right=right, low=low, high=high)
 
 
-def _band(axes: Axes, row: Sequence[tuple[Field, FieldFocus]], k: float, blank: frozenset[int]) -> Markup:
+def _band(axes: ChartAxes, row: Sequence[tuple[Field, FieldFocus]], k: float, blank: frozenset[int]) -> Markup:
     """Return the range in focus, its allowance for uncertainty as a band, over the fields that have a focus."""
     known = [(axes.x.at(field.x_um / 1000), one) for field, one in row if field.number not in blank]
     if not known:

@@ -33,7 +33,7 @@ from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
 from wafer_viewer.gui.page.dialogs import add_hints, add_titles
 from wafer_viewer.gui.page.header import TITLES, Header, Reopened, StatusStrip, possible, why_not
-from wafer_viewer.gui.page.page import Page, Part
+from wafer_viewer.gui.page.page import Page, PagePart
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
 from wafer_viewer.gui.page.stop import NOT_STOPPED, complete_fields_sentence, stop
 from wafer_viewer.gui.plan.plan_panel import PlanPanel
@@ -262,7 +262,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     why = WhyPanel(page)
     ear.left = left.panel
     read_out = ReadOutBox(page)
-    parts: list[Part] = [
+    parts: list[PagePart] = [
         *(
             StepFallback(page),
             frame,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT
-from wafer_viewer.measure.defects.segmentation import DefectPiece, Floats, Mask, Pixels, evidence_of
+from wafer_viewer.measure.defects.segmentation import DefectPiece, DefectPixels, Floats, Mask, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_classes import DefectShape
@@ -68,7 +68,7 @@ OUTLINE = OutlineParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gathered(Pixels):
+class Gathered(DefectPixels):
     """The pieces of one defect as one list of pixels; first: the piece with the highest score."""
 
     first: DefectPiece
@@ -77,7 +77,7 @@ class Gathered(Pixels):
     @classmethod
     def of(cls, pieces: Sequence[DefectPiece]) -> Gathered:
         """Concatenate the pixels of pieces; scalar attributes are those of the piece with the highest score."""
-        joined = (np.concatenate([getattr(piece, one.name) for piece in pieces]) for one in fields(Pixels))
+        joined = (np.concatenate([getattr(piece, one.name) for piece in pieces]) for one in fields(DefectPixels))
         layers = {layer for piece in pieces for layer in piece.peaks}
         peaks = {layer: max(piece.peaks.get(layer, 0.0) for piece in pieces) for layer in layers}
         return cls(*joined, first=max(pieces, key=lambda piece: piece.score), peaks=peaks)

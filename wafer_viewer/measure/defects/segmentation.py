@@ -82,7 +82,7 @@ SEGMENTATION = SegmentationParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pixels:
+class DefectPixels:
     """Pixels that differ, float64 [n] each: stage and die coordinates, and values.
 
     z_um: residual, NaN where unmeasured; smooth_um: the residual smoothed to the size of the defect; slope: gradient
@@ -100,7 +100,7 @@ class Pixels:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DefectPiece(Pixels):
+class DefectPiece(DefectPixels):
     """A connected set of pixels of one cell that differ.
 
     border: whether a pixel lies at the cell's border; peaks: highest score by layer; noise_um: local noise of heights.

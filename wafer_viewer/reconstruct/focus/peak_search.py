@@ -53,7 +53,7 @@ from wafer_viewer.reconstruct.focus.peak import (
 )
 from wafer_viewer.reconstruct.focus.peak_centring import LEAST_SIGMA, CentringWindow
 from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpolation
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, StackSource, developed, row_parts, stripes
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, StackWindow, developed, row_parts, stripes
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 STRIPE_ROWS = 32
@@ -138,7 +138,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
     parts = stripes(frames.shape, STRIPE_ROWS)
 
-    def search_parts(todo: Iterator[Part]) -> None:
+    def search_parts(todo: Iterator[StackWindow]) -> None:
         bench = ThreadScratch.make(frames.n_frames, (parts[0].rows.stop, frames.shape[1]), search, frames.dtype)
         for part, block in developed(frames, todo, search.margin_px):
             search_block(block, frames.z_um, search, bench.cut(rows_in(part.rows)), peaks.rows(part.rows))

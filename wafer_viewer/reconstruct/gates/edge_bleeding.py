@@ -26,7 +26,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads
 from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import Search
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, Window, developed, read_part, stripes
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, Window, developed, read_part, stripes
 from wafer_viewer.reconstruct.gates.edge_sides import (
     BAND_REACH_PX,
     STANDING_GAPS,
@@ -283,7 +283,7 @@ def _search_along(
             first = max(0, int(np.fmin.reduce(part, axis=None)) - near.frames)
             stop = min(frames.n_frames, int(np.fmax.reduce(part, axis=None)) + 2 + near.frames)
             tile = Tile.make(stop - first, part.shape, how.window)
-            block = read_part(frames, Part(*at, slice(first, stop)), margin)
+            block = read_part(frames, StackWindow(*at, slice(first, stop)), margin)
             tangential_levels(block, how.window, stabiliser, _around(wall, *at, margin - 3), tile)
             found_um, found_fall = np.empty(part.shape, np.float32), np.empty(part.shape, np.float32)
             peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
@@ -317,7 +317,7 @@ def _outline_grey(frames: Frames, band: Band, threads: int | None) -> NDArray[np
     """Return the grey image used to classify the sides of walls."""
     grey = np.zeros(frames.shape, np.float32)
 
-    def add_parts(todo: Iterator[Part]) -> None:
+    def add_parts(todo: Iterator[StackWindow]) -> None:
         for (rows, *_), block in developed(frames, todo, 1):
             outline_grey(block, rows.start, band.inside, band.frame, grey[rows])
 

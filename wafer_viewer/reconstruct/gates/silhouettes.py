@@ -17,7 +17,7 @@ import numpy as np
 
 from wafer_viewer.numerics.jit import Float32s, Greys, Int, Int32s, Real, UInt16s, lean_kernel, lean_part, quick_log2
 from wafer_viewer.reconstruct.focus.focus_volume import on_threads, take_grey
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, StackSource, developed, stripes
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, StackWindow, developed, stripes
 
 SILHOUETTE_MARGIN_PX = 6
 """Reach of the map beyond its pixels."""
@@ -95,7 +95,7 @@ def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
     found = Silhouette.empty(frames.shape)
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
 
-    def add_parts(todo: Iterator[Part]) -> None:
+    def add_parts(todo: Iterator[StackWindow]) -> None:
         rows = SilhouetteRows.make(frames.shape[1], frames.dtype)
         for part, block in developed(frames, todo, SILHOUETTE_MARGIN_PX):
             silhouette_block(block, 0, 1, dark_counts, rows, found.rows(part.rows))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Noise
 from wafer_viewer.numerics.jit import Greys
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, read_part
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, read_part
 
 Floats = NDArray[np.floating[Any]]
 
@@ -127,7 +127,7 @@ def _sample(frames: Frames) -> Greys:
     picked = np.unique(np.linspace(0, frames.n_frames - 1, NOISE_ESTIMATE.frames).round().astype(int))
     strips: list[Greys] = []
     for top in np.unique(np.linspace(0, n_rows - high, 2 * NOISE_ESTIMATE.strips + 1).astype(int)[1::2]):
-        strip = read_part(frames, Part(slice(int(top), int(top) + high), slice(0, n_cols)))
+        strip = read_part(frames, StackWindow(slice(int(top), int(top) + high), slice(0, n_cols)))
         strips.append(strip[picked])
     return np.concatenate(strips)
 

@@ -25,7 +25,7 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.grids.resampling import REACH as TAPS_REACH
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
-from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels, Window
+from wafer_viewer.reconstruct.frame_blocks import Correction, FramePixels, Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,7 +367,7 @@ class Drift(Correction):
         first, last = math.floor(places.min()) - TAPS_REACH, math.floor(places.max()) + TAPS_REACH
         return slice(min(max(0, first), length - 1), max(1, min(last + 1, length)))
 
-    def applied(self, pixels: Pixels) -> Pixels:
+    def applied(self, pixels: FramePixels) -> FramePixels:
         """Resample each frame at the positions of the wanted pixels."""
         (images,), (rows, cols), (down, across) = pixels.layers, pixels.window, pixels.wanted
         down_px = self.places(pixels.frames, 0, np.arange(down.start, down.stop)) - rows.start

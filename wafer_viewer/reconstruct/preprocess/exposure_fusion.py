@@ -31,7 +31,7 @@ from wafer_viewer.model.acquisition.calibration import ImageShading
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.numerics.jit import Float32s, Greys, Real, UInt16s, kernel
-from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels
+from wafer_viewer.reconstruct.frame_blocks import Correction, FramePixels
 
 # ------------------------------------------------------------------------------------------------------ exposure fusion
 
@@ -152,7 +152,7 @@ class Fusion(Correction):
             found.append(own if between is None else between.astype(np.float32))
         return dataclasses.replace(self, flicker=tuple(found))
 
-    def applied(self, pixels: Pixels) -> Pixels:
+    def applied(self, pixels: FramePixels) -> FramePixels:
         """Fuse the exposures, of which those with taps have two layers."""
         layers, frames = iter(pixels.layers), pixels.frames
         exposures = [

@@ -24,7 +24,7 @@ from scipy.ndimage import median_filter
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.jit import Greys, Real, UInt16s, kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
-from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels
+from wafer_viewer.reconstruct.frame_blocks import Correction, FramePixels
 
 Gains = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class FlickerGains(Correction):
 
     factors: NDArray[np.float32]
 
-    def applied(self, pixels: Pixels) -> Pixels:
+    def applied(self, pixels: FramePixels) -> FramePixels:
         """Return the pixels in corrected counts."""
         out = np.empty(pixels.layers[0].shape, np.uint16)
         for part, factor, of_part in zip(pixels.layers[0], self.factors[pixels.frames], out, strict=True):

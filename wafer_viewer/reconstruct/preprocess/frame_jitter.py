@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.surface.frame_health import gap_u_um
 from wafer_viewer.numerics.normal_statistics import student
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, read_part
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, read_part
 
 # ----------------------------------------------------------------------------------------------------------- frame gaps
 
@@ -218,7 +218,7 @@ def _band_means(frames: Frames, side: int) -> Iterator[tuple[Blocks, Blocks]]:
     halves = np.stack([first, first + NEIGHBOURS], axis=1).ravel()
     bands = min(rows, max(1, round(FRAME_JITTER.sampled_px / (side**2 * cols))))
     for band in np.unique(np.linspace(0, rows - 1, bands).astype(int)).tolist():
-        block = read_part(frames, Part(slice(band * side, (band + 2) * side), slice(0, cols * side)))
+        block = read_part(frames, StackWindow(slice(band * side, (band + 2) * side), slice(0, cols * side)))
         flat = block[:, :side].sum(axis=1, dtype=np.uint32).reshape(frames.n_frames, cols, side)
         windows = np.einsum("r,krc->kc", weights, block.astype(np.float32)).reshape(flat.shape)
         smooth = windows[:, :-1] @ weights[:side] + windows[:, 1:] @ weights[side:]

@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, StoredFrames, read_part
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, StoredImages, read_part
 from wafer_viewer.reconstruct.preprocess.drift import TileMotions, drift_note, drift_of, measure_displacements
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import fusion_of, z_taps
 from wafer_viewer.reconstruct.preprocess.flicker import (
@@ -158,7 +158,7 @@ def _fused(stack: FieldStack, frames: Frames, white_counts: int, flickers: list[
     shading = frames.shading
     return dataclasses.replace(
         frames,
-        stored=tuple(StoredFrames(images[n], of_layer) for n in fusion.order for of_layer in between[n]),
+        stored=tuple(StoredImages(images[n], of_layer) for n in fusion.order for of_layer in between[n]),
         corrections=(*frames.corrections, fusion),
         dtype=np.dtype(np.uint16),
         clipped_counts=fusion.fused_clipped_counts,
@@ -195,7 +195,7 @@ def _without_flicker(stack: FieldStack, frames: Frames, flickers: list[Flicker],
 def _with_drift_correction(frames: Frames, motions: TileMotions | None) -> Frames:
     """Return frames with drift correction, if there is drift; motions: those of frames as they are stored."""
     sightings = measure_displacements(
-        lambda rows, cols: read_part(frames, Part(rows, cols)), frames.shape, frames.stored[0].slots, motions
+        lambda rows, cols: read_part(frames, StackWindow(rows, cols)), frames.shape, frames.stored[0].slots, motions
     )
     drift = drift_of(sightings, frames.n_frames, frames.shape)
     if drift is None:

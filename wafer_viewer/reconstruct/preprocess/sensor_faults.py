@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
-from wafer_viewer.reconstruct.frame_blocks import Correction, Pixels
+from wafer_viewer.reconstruct.frame_blocks import Correction, FramePixels
 
 LEAST_FRAMES = 6
 """In fewer frames a sharp detail of the sample may look the same in all of them."""
@@ -78,7 +78,7 @@ class Flaws(Correction):
         first, last = self._within(rows)
         return first < last
 
-    def applied(self, pixels: Pixels) -> Pixels:
+    def applied(self, pixels: FramePixels) -> FramePixels:
         """Replace each defect by the mean of its sound neighbours, which are read as stored: they may lie beyond."""
         rows, cols = pixels.window
         first, last = self._within(rows)

@@ -55,7 +55,7 @@ class CompressionReport:
     left: tuple[str, ...]
 
 
-class StoredFrames(Protocol):
+class FramesOnDisk(Protocol):
     """Frames of a dataset on disk, with their record and their journal."""
 
     path: Path
@@ -83,7 +83,7 @@ class StoredFrames(Protocol):
         ...
 
 
-def compress(data: StoredFrames, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
+def compress(data: FramesOnDisk, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
     """Compress the frames of a dataset without loss, one field after the other.
 
     Parameters
@@ -119,14 +119,14 @@ def compress(data: StoredFrames, codec: str, progress: Progress, should_stop: Sh
         lock.release()
 
 
-def decompress_fields(data: StoredFrames, fields: Sequence[Field]) -> None:
+def decompress_fields(data: FramesOnDisk, fields: Sequence[Field]) -> None:
     """Decompress the files of some fields, so that frames can be written into them; the caller holds the lock."""
     for field in fields:
         if compression_of(frames_file(data.path, field), data.scan.pages(field)) != "none":
             _replace(data, field, "none", silent)
 
 
-def rewrite_field(data: StoredFrames, field: Field) -> None:
+def rewrite_field(data: FramesOnDisk, field: Field) -> None:
     """Write the uncompressed file of a field again from its frames; the caller holds the lock.
 
     Raises DatasetError when one of them is damaged.
@@ -134,7 +134,7 @@ def rewrite_field(data: StoredFrames, field: Field) -> None:
     _replace(data, field, "none", silent)
 
 
-def write_headers(data: StoredFrames, changed: Container[int] = ()) -> None:
+def write_headers(data: FramesOnDisk, changed: Container[int] = ()) -> None:
     """Write the OME-XML of the fields that have none yet, and of those with changed frames, by number.
 
     The caller holds the lock. Files without room for it, and damaged ones, are left as they are.
@@ -147,7 +147,7 @@ def write_headers(data: StoredFrames, changed: Container[int] = ()) -> None:
             write_header(path, data.scan.pages(field), ome_xml(data.scan, field, lines), checksums.get(field.number))
 
 
-def _compress(data: StoredFrames, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
+def _compress(data: FramesOnDisk, codec: str, progress: Progress, should_stop: ShouldStop) -> CompressionReport:
     _remove_partial_files(data.path / FRAMES)
     before = data.frame_bytes()
     pending, left = _pending(data, codec)
@@ -185,7 +185,7 @@ class _DamagedFrames(DatasetError):
     """Frames that differ from their checksums, in a file that is to be replaced."""
 
 
-def _pending(data: StoredFrames, codec: str) -> tuple[list[Field], list[str]]:
+def _pending(data: FramesOnDisk, codec: str) -> tuple[list[Field], list[str]]:
     """Return the fields whose files have another compression, and a sentence for each file that cannot be read."""
     pending: list[Field] = []
     left: list[str] = []
@@ -200,18 +200,18 @@ def _pending(data: StoredFrames, codec: str) -> tuple[list[Field], list[str]]:
     return pending, left
 
 
-def _are_tags_good(data: StoredFrames, field: Field) -> bool:
+def _are_tags_good(data: FramesOnDisk, field: Field) -> bool:
     expected = data.scan.tags_crc32c().get(field.number)
     return expected in (None, tags_crc32c(frames_file(data.path, field), data.scan.pages(field)))
 
 
-def _growth(data: StoredFrames, pending: Sequence[Field]) -> int:
+def _growth(data: FramesOnDisk, pending: Sequence[Field]) -> int:
     """Return the free bytes that decompression needs: the growth of all files, and a copy of the largest one."""
     stored = [frames_file(data.path, field).stat().st_size for field in pending]
     return sum(data.scan.pages(field).file_bytes for field in pending) - sum(stored) + max(stored, default=0)
 
 
-def _replace(data: StoredFrames, field: Field, codec: str, tick: Progress) -> None:
+def _replace(data: FramesOnDisk, field: Field, codec: str, tick: Progress) -> None:
     """Replace the file of a field by one with another compression, after a check of every frame in both."""
     path, shape = frames_file(data.path, field), data.scan.pages(field)
     lines = data.journal_lines(field)
@@ -233,7 +233,7 @@ def _replace(data: StoredFrames, field: Field, codec: str, tick: Progress) -> No
         _require_read_back(data, temporary, shape, lines)
 
 
-def _good_pages(data: StoredFrames, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> Image:
+def _good_pages(data: FramesOnDisk, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> Image:
     """Return the pages of a file that is to be replaced. Raises _DamagedFrames when one of them is damaged."""
     try:
         pages = map_pages(path, shape)
@@ -244,7 +244,7 @@ def _good_pages(data: StoredFrames, path: Path, shape: PageShape, lines: Sequenc
     return pages
 
 
-def _require_read_back(data: StoredFrames, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> None:
+def _require_read_back(data: FramesOnDisk, path: Path, shape: PageShape, lines: Sequence[FrameKept]) -> None:
     """Raise DatasetError when a frame of a new file differs from its checksum in the journal."""
     if (page := _first_damaged(data, map_pages(path, shape), lines)) is not None:
         raise DatasetError(
@@ -253,19 +253,19 @@ def _require_read_back(data: StoredFrames, path: Path, shape: PageShape, lines: 
         )
 
 
-def _first_damaged(data: StoredFrames, pages: Image, lines: Sequence[FrameKept]) -> int | None:
+def _first_damaged(data: FramesOnDisk, pages: Image, lines: Sequence[FrameKept]) -> int | None:
     """Return the first page that differs from its checksum in the journal, None if there is none."""
     by_page = {data.scan.page_of(line.shot.k, line.shot.exposure): line.crc32 for line in lines}
     return next((page for page, image in _present(data, pages, lines) if zlib.crc32(image.data) != by_page[page]), None)
 
 
-def _present(data: StoredFrames, pages: Image, lines: Sequence[FrameKept]) -> Iterator[tuple[int, Image]]:
+def _present(data: FramesOnDisk, pages: Image, lines: Sequence[FrameKept]) -> Iterator[tuple[int, Image]]:
     """Yield number and image of every page that has a frame."""
     for page in sorted(data.scan.page_of(line.shot.k, line.shot.exposure) for line in lines):
         yield page, pages[page]
 
 
-def _parts(data: StoredFrames, pages: Image, lines: Sequence[FrameKept], tick: Progress) -> Iterator[Image]:
+def _parts(data: FramesOnDisk, pages: Image, lines: Sequence[FrameKept], tick: Progress) -> Iterator[Image]:
     """Yield a few pages at a time; those without a frame that counts are black, as in a new file."""
     present = np.zeros(len(pages), bool)
     present[[data.scan.page_of(line.shot.k, line.shot.exposure) for line in lines]] = True

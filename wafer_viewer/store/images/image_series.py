@@ -68,7 +68,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
-class Axes:
+class ImageAxes:
     """Axes of an image without those of its pixels, in the order of its planes.
 
     channels_are_stated: False if an axis C may be any that its program had no name for.
@@ -148,7 +148,7 @@ def planes_in(
     read: returns the plane at a place on the axes; its first argument is the name of the plane. first: number of planes
     of the images before it.
     """
-    axes = Axes(sizes, channels_are_stated=True)
+    axes = ImageAxes(sizes, channels_are_stated=True)
     require_planes(path.name, math.prod(sizes.values()))
     for n, (where, place) in enumerate(axes.places(), first):
         at = (f"{_TITLES.get(axis, axis)} {where[axis]}" for axis in where if sizes[axis] > 1)

@@ -32,7 +32,7 @@ from wafer_viewer.store.images.image_files import (
 from wafer_viewer.store.images.image_series import (
     TIMES_US,
     UNITS_UM,
-    Axes,
+    ImageAxes,
     Place,
     Series,
     length_um,
@@ -147,7 +147,7 @@ def _of_pages(path: Path, file: TiffFile) -> Iterator[ImagePlane]:
 
 def _of_series(path: Path, file: TiffFile, number: int, series: TiffPageSeries, words: Series) -> Iterator[ImagePlane]:
     """Yield the planes of one series; of exposures the channel is no axis."""
-    axes = Axes({axis: size for axis, size in zip(series.axes, series.shape, strict=True) if axis not in "YXS"})
+    axes = ImageAxes({axis: size for axis, size in zip(series.axes, series.shape, strict=True) if axis not in "YXS"})
     n_planes = math.prod(axes.sizes.values())
     pages = list(series.pages)
     contiguous = len(pages) != n_planes
