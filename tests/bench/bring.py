@@ -2,9 +2,10 @@
 
     python tests/bench/bring.py [--quick] [--cases N] [--from SEED] [--each]
 
-A case is a stack of blurred frames of a made-up surface, or a matrix of heights, written in a layout, with names, a
-format and metadata that are drawn. Right is: all frames and no others, in the order of z, with the true step, pixel
-size and gaps; or the true heights. Asked is an error that names the flag which settles it. Goal: none silently wrong.
+A case is a stack of blurred frames of a made-up surface, a matrix of heights, or a surface file (of makers written by
+surfalize), in a layout, with names, a format and metadata that are drawn. Right is: all frames and no others, in the
+order of z, with the true step, pixel size and gaps; or the true heights. Asked is an error that names the flag which
+settles it. Goal: none silently wrong.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from scipy.ndimage import gaussian_filter
 
 import wafer_viewer as wv
 from tests.bench.harness import read_options
+from tests.support.surfaces import height_map
 from wafer_viewer.model.errors import DatasetError
 
 ROWS, COLS = 96, 128
@@ -34,7 +36,7 @@ Frames = NDArray[np.uint8]
 @dataclass
 class Case:
     """A drawn case. src: what the user names; given: the numbers that the user types; want: images by slot, None for
-    a lost one, as numbers of the true frames; settled: flags with which it must be read rightly."""
+    a lost one, as numbers of the true frames; is_open: something is asked; is_upright: row 0 is on top."""
 
     about: str
     src: Any
@@ -45,6 +47,7 @@ class Case:
     pixel_um: float
     is_open: bool = False
     heights_um: NDArray[np.float64] | None = None
+    is_upright: bool = False
     tags: list[str] = field(default_factory=list)
 
 
@@ -207,6 +210,58 @@ def a_matrix(rng: np.random.Generator, folder: Path, case: Case) -> None:
     case.tags += ["matrix", f"separator {separator!r}", "decimal comma" if comma else "decimal point", f"gap {gap!r}"]
 
 
+def sdf_text(z_um: NDArray[np.float64], pixel_um: float) -> bytes:
+    """An ISO 25178-71 file as text, with heights in pm."""
+    words = np.where(np.isnan(z_um), "BAD", np.nan_to_num(np.round(z_um * 1e6)).astype(np.int64).astype(str))
+    rows, cols = z_um.shape
+    lengths = f"Xscale = {pixel_um}e-6", f"Yscale = {pixel_um}e-6", "Zscale = 1e-12", "Zresolution = -1"
+    head = "aISO-1.0", "ManufacID = X", f"NumPoints = {cols}", f"NumProfiles = {rows}", *lengths
+    return "\r\n".join((*head, "Compression = 0", "DataType = 7", "*", *map(" ".join, words), "*")).encode()
+
+
+SURFACES = {
+    **dict.fromkeys((".x3p", ".gsf", ".gwy", ".tif", ".ome.tif", ".npz", ".ply", ".xyz"), "ours"),
+    **dict.fromkeys((".al3d", ".sur", ".sur packed", ".sdf", ".sdf binary"), "surfalize"),
+    ".sdf text": "text",
+}
+"""Kinds of surface files, and what writes them."""
+UNITLESS = (".ply", ".xyz")
+
+
+def a_surface(rng: np.random.Generator, folder: Path, case: Case) -> None:
+    """Heights of an instrument in a surface file, some with gaps, some with a given value that contradicts the file."""
+    rows, cols = (int(size) for size in rng.integers(12, 60, 2))
+    heights = gaussian_filter(rng.normal(0, 20, (rows, cols)), 2)
+    if rng.random() < 0.5:
+        top, left = int(rng.integers(rows - 4)), int(rng.integers(cols - 4))
+        heights[top : top + 3, left : left + 3] = np.nan
+    kind = str(rng.choice(list(SURFACES)))
+    ending, _, variant = kind.partition(" ")
+    path = folder / f"surface{ending}"
+    if SURFACES[kind] == "ours":
+        wv.write_surface(height_map(heights, case.pixel_um), path)
+    elif SURFACES[kind] == "text":
+        path.write_bytes(sdf_text(heights, case.pixel_um))
+    else:
+        import surfalize
+
+        words = {".sur": {"compressed": variant == "packed"}, ".sdf": {"binary": variant == "binary"}}
+        surfalize.Surface(heights, case.pixel_um, case.pixel_um).save(str(path), **words.get(ending, {}))
+    if rng.random() < 0.3:
+        path = path.rename(folder / "surface.dat") if ending in (".gwy", ".sur", ".al3d") else path
+        kind = f"{kind}, as {path.suffix}"
+    case.src, case.heights_um, case.given, case.is_upright = path, heights, {}, True
+    case.about = f"surface {rows} x {cols}, {kind}"
+    case.tags += ["surface", f"surface {kind}"]
+    if ending in UNITLESS:
+        case.given["z_unit"] = "um"
+    if rng.random() < 0.2 and ending not in (".npz", *UNITLESS):
+        wrong, value = ("pixel_um", 1.25 * case.pixel_um) if rng.random() < 0.5 else ("z_unit", "mm")
+        case.given[wrong], case.is_open = value, True
+        case.about += f", {wrong} contradicts"
+        case.tags.append("contradicts")
+
+
 def drawn_case(seed: int, folder: Path) -> Case:
     """The case of a seed, written to `folder`."""
     rng = np.random.default_rng((seed, 37))
@@ -215,7 +270,8 @@ def drawn_case(seed: int, folder: Path) -> Case:
     frames = drawn_frames(rng, n)
     given = {"z_step_um": step, "pixel_um": pixel}
     case = Case("", folder, given, frames, list(range(n)), step, pixel)
-    make = rng.choice([a_folder, a_folder, a_folder, a_tiff, a_tiff, a_matrix])  # type: ignore[arg-type]
+    kinds = [a_folder, a_folder, a_folder, a_tiff, a_tiff, a_matrix, a_surface, a_surface]
+    make = rng.choice(kinds)  # type: ignore[arg-type]
     make(rng, folder, case)
     return case
 
@@ -238,9 +294,11 @@ def outcome(case: Case) -> tuple[str, str]:
 
 
 def judged_heights(case: Case, surface: wv.HeightMap) -> tuple[str, str]:
-    """Return whether the heights are the true ones, either way up."""
+    """Return whether the heights are the true ones, either way up if the file does not say it, in a lattice as true."""
     want = case.heights_um
-    for z_um in (surface.z_um, surface.z_um[::-1]):
+    if case.is_upright and abs(surface.pixel_um / case.pixel_um - 1) > 1e-3:
+        return "wrong", f"pixel {surface.pixel_um}, not {case.pixel_um}"
+    for z_um in (surface.z_um, surface.z_um[::-1])[: 1 if case.is_upright else 2]:
         if want is not None and z_um.shape == want.shape and np.allclose(z_um, want, atol=1e-3, equal_nan=True):
             return "right", ""
     return "wrong", f"{surface.z_um.shape}, {np.isnan(surface.z_um).sum()} gaps"

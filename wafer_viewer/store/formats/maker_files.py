@@ -100,12 +100,22 @@ def _surface(opened: Any, kind: MakerFile, options: ReadOptions) -> HeightMap:
     if min(raw.shape) < 2 or (kind.reader == "sur" and metadata.get("type") in _NO_SURFACES):
         raise options.refuse("holds profiles or an image and no surface: give a file with a surface.")
     pitches_um = options.pitches_um(*_pitches_um(sizes, raw.shape, lateral, metadata, kind, options))
-    z_um = scaled(options, raw, options.z_scale_um(unit))
     _require_stated_range(raw, metadata, kind, unit or "", options)
+    if kind.reader == "sur":
+        raw += _sur_offset(metadata, unit)
+    z_um = scaled(options, raw, options.z_scale_um(unit))
     _note_doubts(z_um, pitches_um, options)
     z_um, pixel_um = on_square_pixels(options, z_um, *pitches_um)
     options.notes.append(f"SurfaceTopography read it as {kind.title}.")
     return heights_only(options, z_um, pixel_um, 0.0, 0.0, None)
+
+
+def _sur_offset(metadata: dict[str, Any], unit: str | None) -> float:
+    """Return the height of zero counts, which SurfaceTopography leaves out, in the unit of the heights."""
+    offset, offset_unit = float(metadata["data_offset"]), _plain_unit(metadata["data_unit"])
+    if not np.isfinite(offset) or offset_unit not in UNITS_UM or unit not in UNITS_UM:
+        return 0.0
+    return offset * UNITS_UM[offset_unit] / UNITS_UM[unit]
 
 
 _NO_SURFACES = (3, 4, 9, 11)
@@ -134,8 +144,12 @@ def _channel(opened: Any, kind: MakerFile, options: ReadOptions) -> Any:
 def _units(channel: Any) -> tuple[str | None, str | None]:
     """Return the units of x, y and of the heights; what is UTF-8 was read as Latin-1."""
     units = channel.unit if isinstance(channel.unit, tuple) else (channel.unit, channel.unit)
-    lateral, vertical = (unit if unit is None else unit.replace("\xc2", "").replace("Î¼", "µ") for unit in units)
+    lateral, vertical = (unit if unit is None else _plain_unit(unit) for unit in units)
     return lateral, vertical
+
+
+def _plain_unit(unit: str) -> str:
+    return unit.replace("\xc2", "").replace("Î¼", "µ")
 
 
 def _pitches_um(
