@@ -243,18 +243,23 @@ _NAMED_PX: dict[Step, int] = {
 
 @dataclass(frozen=True, slots=True)
 class HeaderRoom:
-    """Header layout for a range of window widths: start of the steps and width of an icon, in CSS pixels."""
+    """Header layout for a range of window widths: start of the steps and width of an icon, in CSS pixels.
+
+    named: the current step has its name beside its icon.
+    """
 
     media: str
     left_px: int
     icon_px: int
+    named: bool = True
 
 
-WIDE_PX, MIDDLE_PX = 1500, 1200
-"""Window widths from which steps show their names, and from which icons are wider."""
+WIDE_PX, MIDDLE_PX, NARROW_PX = 1500, 1200, 944
+"""Window widths from which steps show their names, icons are wider, and the current step its name beside its icon."""
 ROOMS = (
     HeaderRoom(f"(min-width:{MIDDLE_PX}px) and (max-width:{WIDE_PX - 1}px)", LEFT_PX, 52),
-    HeaderRoom(f"(max-width:{MIDDLE_PX - 1}px)", 218, 42),
+    HeaderRoom(f"(min-width:{NARROW_PX}px) and (max-width:{MIDDLE_PX - 1}px)", 218, 42),
+    HeaderRoom(f"(max-width:{NARROW_PX - 1}px)", 172, 36, named=False),
 )
 _MARK = Markup(
     '<svg width="34" height="34" viewBox="0 0 34 34" aria-hidden="true"><g fill="none" stroke="var(--accent)">'
@@ -384,7 +389,7 @@ def _step_style(ids: dict[Step, str], current: Step, snapshot: Snapshot) -> str:
     places = [f"left:calc({LEFT_PX}px + {k}*var(--step));width:var(--step)!important" for k in range(len(ids))]
     rules.append(f"@media(min-width:{WIDE_PX}px){{{_placed(ids, places)}}}")
     for room in ROOMS:
-        widths = [_NAMED_PX[step] if step == current else room.icon_px for step in ids]
+        widths = [_NAMED_PX[step] if step == current and room.named else room.icon_px for step in ids]
         lefts = [room.left_px + sum(widths[:k]) for k in range(len(widths))]
         places = [f"left:{left}px;width:{width}px!important" for left, width in zip(lefts, widths, strict=True)]
         rules.append(f"@media{room.media}{{{_placed(ids, places)}}}")
@@ -399,14 +404,16 @@ def _placed(ids: dict[Step, str], places: list[str]) -> str:
 
 def _look(selector: str, step: Step, current: Step, snapshot: Snapshot) -> str:
     label, sign = f"{selector} .mantine-Button-label", f"{selector} .mantine-Button-section"
+    hidden = f"{label}{{position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)}}{sign}{{margin:0}}"
     if step == current:
         look = "color:var(--accent)!important;box-shadow:inset 0 -3px 0 var(--accent)!important"
-        return f"{selector}{{{look}}}{label}{{font-weight:650!important}}"
+        return (
+            f"{selector}{{{look}}}{label}{{font-weight:650!important}}@media(max-width:{NARROW_PX - 1}px){{{hidden}}}"
+        )
     can = possible(step, snapshot)
     look = "color:var(--ink)!important" if can else "color:var(--ink3)!important;cursor:default"
     rules = f"{selector}{{{look}}}{label}{{font-weight:{500 if can else 400}!important}}"
-    hidden = "position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)"
-    rules += f"@media(max-width:{WIDE_PX - 1}px){{{label}{{{hidden}}}{sign}{{margin:0}}}}"
+    rules += f"@media(max-width:{WIDE_PX - 1}px){{{hidden}}}"
     mark = _LOCK if not can else _TICK if done(step, snapshot) else ""
     if not mark:
         return rules

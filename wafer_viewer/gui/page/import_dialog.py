@@ -302,9 +302,11 @@ class ImportDialog:
 
     def _show_values(self, contents: FileContents | None) -> None:
         images = contents is None or contents.kind == "images"
+        tiled = contents is not None and contents.is_tiled
         for name, value in self._values.items():
-            value.show(contents, name, visible=images or name == "pixel size")
-        for handle in (self._light.handle, self._pattern, self._places, self._only):
+            value.show(contents, name, visible=(images and not tiled) or name == "pixel size")
+        set_prop(self._light.handle, "visible", images and not tiled)
+        for handle in (self._pattern, self._places, self._only):
             set_prop(handle, "visible", images)
         for handle in (self._columns.handle, self._order, self._corner):
             set_prop(handle, "visible", images and ("{n" in self._pattern.value or "{series" in self._pattern.value))

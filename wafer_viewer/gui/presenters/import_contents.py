@@ -129,19 +129,20 @@ def _toggle(what: str, words: str) -> Markup:
 def frames_html(contents: FileContents, thumbnails: Mapping[int, bytes]) -> Markup:
     """Return the strip of frames with their z; those beside a gap have an amber rim."""
     frames = contents.frames
-    pictures = Markup("").join(_picture(frames, k, thumbnails[k]) for k in sorted(thumbnails))
+    kind = "image" if contents.is_tiled else "frame"
+    pictures = Markup("").join(_picture(frames, k, thumbnails[k], kind) for k in sorted(thumbnails))
     images = next((fact.value for fact in contents.facts if fact.name == "images"), "")
     n = len(frames) - contents.n_missing
     part = f" · {len(thumbnails)} of {n} shown" if len(thumbnails) < n else ""
-    return html.head("Frames", html.with_micro_sign(images).replace(" x ", " × ") + part, first=True) + Markup(
-        '<div class="wv-imp-strip">{}</div>'
-    ).format(pictures)
+    return html.head(
+        f"{kind.capitalize()}s", html.with_micro_sign(images).replace(" x ", " × ") + part, first=True
+    ) + Markup('<div class="wv-imp-strip">{}</div>').format(pictures)
 
 
-def _picture(frames: Sequence[FrameFact], k: int, jpeg: bytes) -> Markup:
+def _picture(frames: Sequence[FrameFact], k: int, jpeg: bytes, kind: str) -> Markup:
     beside_gap = any(0 <= m < len(frames) and not frames[m].name for m in (k - 1, k + 1))
     z_um = frames[k].z_um
-    words = f"frame {k}" if z_um is None else with_unit(z_um, 1, signed=True)
+    words = f"{kind} {k + (kind == 'image')}" if z_um is None else with_unit(z_um, 1, signed=True)
     return Markup(
         '<figure class="{look}" title="{name}"><img alt="{name}" src="data:image/jpeg;base64,{data}">'
         "<figcaption>{words}</figcaption></figure>"

@@ -90,7 +90,7 @@ window.addEventListener('drop', event => {
     return;
   }
   window.wvReport('import-drop', files.length);
-  send(files, DROP_TRIES);
+  setTimeout(() => send(files, DROP_TRIES), 3 * DROP_MS); // the dialog hears first how many there are
 }, true);
 window.addEventListener('keydown', event => {
   const list = last('.wv-files');

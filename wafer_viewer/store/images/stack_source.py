@@ -446,7 +446,7 @@ def _step(
         return stated, notes
     agreed = _agreed("z step", " um", "--z-step-um", given, stated, options)
     if agreed is None and tiled:
-        return Stated(1.0, "none"), notes
+        return Stated(1.0, "given"), notes
     if agreed is None:
         raise UnsettledValue("The z step is missing: give it with --z-step-um, the images do not say it.", "z step")
     return agreed, notes
