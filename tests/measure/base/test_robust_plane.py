@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.campaigns import examples
-from wafer_viewer.measure.base.correlated_errors import tile_means
+from wafer_viewer.measure.base.correlated_errors import Tiles
 from wafer_viewer.measure.base.height_samples import HeightSamples
 from wafer_viewer.measure.base.robust_fit import fit_plane, least_squares, robust_fit
 from wafer_viewer.model.errors import MeasureError
@@ -67,14 +67,14 @@ def test_points_that_span_no_plane(n):
 
 def test_tiles_are_means_of_their_part():
     x_um, y_um = (a.ravel() for a in np.meshgrid(np.arange(80.0), np.arange(40.0)))
-    centres, means = tile_means(HeightSamples(x_um, y_um, x_um + y_um), x_um, 4)
-    assert len(centres) == 16
-    np.testing.assert_allclose(means, centres.x_um)
-    np.testing.assert_allclose(centres.z_um, centres.x_um + centres.y_um)
-    np.testing.assert_allclose(np.unique(centres.x_um), [9.5, 29.5, 49.5, 69.5], atol=0.6)
+    means = Tiles.of(HeightSamples(x_um, y_um, x_um + y_um), np.column_stack([x_um, y_um, x_um + y_um]), side=4).means
+    assert len(means) == 16
+    np.testing.assert_allclose(means[:, 2], means[:, 0] + means[:, 1])
+    np.testing.assert_allclose(np.unique(means[:, 0]), [9.5, 29.5, 49.5, 69.5], atol=0.6)
 
 
 def test_nearly_empty_tiles_do_not_count():
     x_um, y_um = (a.ravel() for a in np.meshgrid(np.arange(80.0), np.arange(80.0)))
     sparse = ~((x_um < 20) & (y_um < 20)) | ((x_um == 3) & (y_um == 3))
-    assert len(tile_means(HeightSamples(x_um, y_um, x_um).select(sparse), x_um[sparse], 4)[0]) == 15
+    points = HeightSamples(x_um, y_um, x_um).select(sparse)
+    assert len(Tiles.of(points, points.x_um[:, None], side=4).means) == 15

@@ -177,13 +177,6 @@ def well_filled(count: NDArray[np.integer] | Floats) -> NDArray[np.bool_]:
     return count >= max(1.0, MIN_FILL * float(np.median(count[count > 0])))
 
 
-def tile_means(points: HeightSamples, residuals: Floats, side: int) -> tuple[HeightSamples, Floats]:
-    """Return mean position, height and residual of each of side x side tiles; sparse tiles are omitted."""
-    columns = np.stack([points.x_um, points.y_um, points.z_um, residuals], axis=1)
-    x_um, y_um, z_um, left = Tiles.of(points, columns, side=side).means.T
-    return HeightSamples(x_um, y_um, z_um), left
-
-
 def _cells(coordinate: Floats, labels: Labels, n: int, side: int) -> Labels:
     """Return the tile index of each point along one axis, from 0, within the range of its own region."""
     if n == 1:

@@ -87,11 +87,6 @@ def threshold_of(sensitivity: float) -> float:
     return DULLEST_SIGMA + sensitivity * (KEENEST_SIGMA - DULLEST_SIGMA)
 
 
-def sensitivity_of(threshold_sigma: float) -> float:
-    """Return the sensitivity for a threshold, clipped to 0 ... 1."""
-    return min(1.0, max(0.0, (DULLEST_SIGMA - threshold_sigma) / (DULLEST_SIGMA - KEENEST_SIGMA)))
-
-
 class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     """A difference from the reference: position, size, class with reasons, and judgement.
 

@@ -72,11 +72,6 @@ class Registration(Spec, frozen=True, kw_only=True):
     residual_um: NonNegative = 0.0
     overlap_fraction: Fraction = 1.0
 
-    @property
-    def moves_places(self) -> bool:
-        """True if the motion shifts or rotates the second surface."""
-        return bool(self.x_um or self.y_um or self.turn_mrad)
-
 
 class Change(Spec, frozen=True, kw_only=True):
     """Statistics of the difference.

@@ -92,11 +92,6 @@ class Scene:
     tour_area_um: tuple[float, float] | None = None
     tour_scene: str = ""
 
-    @property
-    def die_pitch_um(self) -> tuple[float, float] | None:
-        """Distance between dies along x and y, None without dies."""
-        return (self.dies.pitch_x_um, self.dies.pitch_y_um) if self.dies else None
-
     def raster(self, window: SceneWindow) -> SceneSheets:
         """Return the scene on a lattice, each sample averaged over one step."""
         return self._at(*window.points(), window.step_um)
