@@ -84,12 +84,6 @@ def _samples(*names: str) -> None:
         SCENES[name].raster(SceneWindow(0.0, 0.0, 1.0, 2, 2))
 
 
-def _other_samples() -> None:
-    from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-
-    _samples(*SCENES)
-
-
 def _frames(bits: int = 8) -> None:
     from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
     from wafer_viewer.rigs.virtual.optics.optics import Optics
@@ -184,7 +178,6 @@ STITCHING = (
 RARE = (
     KernelPart("frames of 16 bits", _deep_frames),
     KernelPart("other focus measures", _other_searches),
-    KernelPart("other simulated samples", _other_samples),
 )
 PARTS = (*SIMULATION, *HEIGHTS, *STITCHING, *RARE)
 """All parts: whatever else is compiled is compiled at its first use."""

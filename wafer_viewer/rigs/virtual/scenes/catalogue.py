@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, staircase, tour_wafer, wafer
+from wafer_viewer.rigs.virtual.scenes import die, metal_parts, tour_wafer, wafer
 from wafer_viewer.rigs.virtual.scenes.drawing import Points, SceneSheets, empty_sheets
 
 Outline = tuple[tuple[float, float], ...]
@@ -175,7 +176,7 @@ SCENES: dict[str, Scene] = {
     "gauge_blocks": Scene(
         name="gauge_blocks",
         title="Two gauge blocks, 399.88 um apart in height",
-        fill=gauge_blocks.fill,
+        fill=partial(metal_parts.fill, metal_parts.BLOCKS),
         gain=1.6,
         width_um=6000.0,
         height_um=4000.0,
@@ -190,7 +191,7 @@ SCENES: dict[str, Scene] = {
     "stair": Scene(
         name="stair",
         title="A stair of 20 um steps",
-        fill=staircase.fill,
+        fill=partial(metal_parts.fill, metal_parts.STAIRCASE),
         gain=1.6,
         width_um=1800.0,
         height_um=1200.0,
@@ -205,7 +206,7 @@ SCENES: dict[str, Scene] = {
     "cone": Scene(
         name="cone",
         title="A turned cone, 120 um high",
-        fill=cone.fill,
+        fill=partial(metal_parts.fill, metal_parts.CONE),
         gain=1.6,
         width_um=1200.0,
         height_um=1200.0,
@@ -220,7 +221,7 @@ SCENES: dict[str, Scene] = {
     "plane": Scene(
         name="plane",
         title="A ground plate, tilted by 4 mrad",
-        fill=plane.fill,
+        fill=partial(metal_parts.fill, metal_parts.PLATE),
         gain=1.6,
         width_um=4000.0,
         height_um=4000.0,
