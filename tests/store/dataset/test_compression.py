@@ -17,13 +17,15 @@ import wafer_viewer as wv
 from tests.support.datasets.samples import SUMMARY, make_frame, make_job, make_plan
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.dataset import frame_pages, scan_record
+from wafer_viewer.store.dataset import frame_pages
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.frame_pages import compression_of
 from wafer_viewer.store.dataset.integrity import digests_of_scan
 from wafer_viewer.store.dataset.scan_record import frames_file
 from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io import format_version
 from wafer_viewer.store.io.checksums import file_mark
+from wafer_viewer.store.io.format_version import SCHEMA
 
 ROWS, COLS, N_FRAMES, N_FIELDS = 90, 120, 20, 4
 HOLE = Shot(2, 3)
@@ -133,8 +135,8 @@ def test_what_is_compressed_is_left_alone(data):
 
 def test_older_programs_say_why_they_cannot_open_it(data, monkeypatch):
     data.compress()
-    monkeypatch.setattr(scan_record, "SCHEMA", 0)
-    with pytest.raises(DatasetError, match=r"has format 4 .* up to 0: open it with a newer Wafer Viewer"):
+    monkeypatch.setattr(format_version, "SCHEMA", 1)
+    with pytest.raises(DatasetError, match=rf"has format {2 * SCHEMA} .* 1 to 2: open it with a newer Wafer Viewer"):
         Dataset.open(data.path)
 
 
