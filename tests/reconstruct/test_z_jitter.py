@@ -53,6 +53,7 @@ N = len(Z_UM)
 WRONG_ORDERS = {
     "two exchanged": ([*range(18), 19, 18, *range(20, N)], "1 to 18, 20 to 19, 21 to 38"),
     "signs are not read": ([*range(18, -1, -1), *range(19, N)], "19 to 1, 20 to 38"),
+    "a counter that began anew": ([*range(12, N), *range(12)], "27 to 38, 1 to 26"),
     "sorted as text": (sorted(range(N), key=str), "1 to 2, 24, 33 to 38, 3 to 12, 14 to 23, 25 to 32"),
 }
 """Orders, and the mended ones; frame 13 of those sorted as text is left out, as one that resembles no neighbour."""

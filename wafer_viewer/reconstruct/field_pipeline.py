@@ -43,7 +43,13 @@ from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, 
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette
 from wafer_viewer.reconstruct.height_uncertainty import jitter_effect_um, uncertainty_um
 from wafer_viewer.reconstruct.preprocess.exposure_fusion import without_shading
-from wafer_viewer.reconstruct.preprocess.frame_jitter import add_gaps, frame_gaps, frame_jitter, worst_gap_u_um
+from wafer_viewer.reconstruct.preprocess.frame_jitter import (
+    add_gaps,
+    block_means,
+    frame_gaps,
+    frame_jitter,
+    worst_gap_u_um,
+)
 from wafer_viewer.reconstruct.preprocess.frame_order import order_without_jitter
 from wafer_viewer.reconstruct.preprocess.frames import FrameSamples, prepare
 
@@ -381,19 +387,21 @@ def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[F
     if field.tuned.recipe.peak == "argmax":
         return FrameHealth(), ()
     depth_um = _depth_um(field)
+    means = block_means(frames, depth_um)
     flicker_um = flicker_u_um(frames.flicker_rest, step_um, depth_um)
     jitter_um = max(
         jitter_effect_um(z_raw_um, frames.z_um, depth_um),
-        jitter_u_um(frame_jitter(frames, depth_um).widened_um, step_um, depth_um),
+        jitter_u_um(frame_jitter(means, frames.z_um, step_um).widened_um, step_um, depth_um),
     )
     gap_um = worst_gap_u_um(frame_gaps(frames.z_um, depth_um), z_raw_um)
     health = FrameHealth(u_jitter_um=jitter_um, u_flicker_um=flicker_um, u_gap_um=gap_um)
     single_um = jitter_um / jitter_u_um(1.0, step_um, depth_um)
-    if single_um < JITTER_TOLD * step_um:
-        return health, ()
-    order = order_without_jitter(frames, depth_um, single_um)
+    told_um = single_um if single_um >= JITTER_TOLD * step_um else 0.0
+    order = order_without_jitter(means, frames.z_um, step_um, told_um)
     if order is not None:
         return health, (_order_note(frames.stored[0].slots[list(order)] + 1),)
+    if not told_um:
+        return health, ()
     note = (
         f"The z of single frames jitters by about {single_um:.2g} um (standard deviation), which adds "
         f"{jitter_um:.2g} um to the standard uncertainty of heights: check the z axis for vibration."

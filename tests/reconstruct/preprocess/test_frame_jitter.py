@@ -12,7 +12,7 @@ from wafer_viewer.measure.base.measurement_context import Z_JITTER, frame_lines_
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.frame_health import jitter_u_um
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.reconstruct.preprocess.frame_jitter import DIFFERS, FrameJitter, frame_jitter
+from wafer_viewer.reconstruct.preprocess.frame_jitter import DIFFERS, FrameJitter, block_means, frame_jitter
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 PIXEL_UM = 0.5
@@ -25,7 +25,8 @@ def two_faces(optics: Optics, seed: int) -> FieldStack:
 
 
 def found_in(stack: FieldStack) -> FrameJitter:
-    return frame_jitter(prepare(stack), stack.depth_of_field_um)
+    frames = prepare(stack)
+    return frame_jitter(block_means(frames, stack.depth_of_field_um), frames.z_um, frames.step_um)
 
 
 @pytest.mark.slow

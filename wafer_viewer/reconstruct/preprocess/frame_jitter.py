@@ -166,17 +166,27 @@ UNSEEN = FrameJitter(0.0, math.inf)
 """Jitter that does not show."""
 
 
-def frame_jitter(frames: Frames, depth_of_field_um: float) -> FrameJitter:
-    """Return the z jitter of the frames as far as they show it.
+class BlockMeans(NamedTuple):
+    """Means of blocks, [k, block] each: flat over a block, and smooth by a raised cosine over two by two."""
+
+    flat: Blocks
+    smooth: Blocks
+
+    @property
+    def contrast(self) -> Blocks:
+        """Deviation of the flat means from the mean of their frame, as a fraction."""
+        return _contrast(self.flat)
+
+    def in_order(self, order: NDArray[np.intp]) -> BlockMeans:
+        """Return the means of the frames in another order."""
+        return BlockMeans(self.flat[order], self.smooth[order])
+
+
+def block_means(frames: Frames, depth_of_field_um: float) -> BlockMeans | None:
+    """Return the means of blocks; None of too few.
 
     depth_of_field_um: of the lens, wavelength / NA^2 + pixel / NA.
     """
-    means = block_means(frames, depth_of_field_um)
-    return UNSEEN if means is None else jitter_of_means(*means, frames.z_um, frames.step_um)
-
-
-def block_means(frames: Frames, depth_of_field_um: float) -> tuple[Blocks, Blocks] | None:
-    """Return the flat and the smooth means of blocks, [k, block] each; None of too few."""
     if frames.n_frames < 2 * REACH + FRAME_JITTER.least_frames:
         return None
     side = _block_px(frames, depth_of_field_um)
@@ -184,15 +194,17 @@ def block_means(frames: Frames, depth_of_field_um: float) -> tuple[Blocks, Block
     if rows * cols < FRAME_JITTER.least_blocks or rows < 2 or cols < 2 * NEIGHBOURS:
         return None
     flat, smooth = zip(*_band_means(frames, side), strict=True)
-    return np.concatenate(flat, axis=1), np.concatenate(smooth, axis=1)
+    return BlockMeans(np.concatenate(flat, axis=1), np.concatenate(smooth, axis=1))
 
 
-def jitter_of_means(flat: Blocks, smooth: Blocks, z_um: Floats, step_um: float) -> FrameJitter:
-    """Return the jitter that means of blocks [k, block] show."""
-    seen = _offsets(flat, z_um, step_um)
+def frame_jitter(means: BlockMeans | None, z_um: Floats, step_um: float) -> FrameJitter:
+    """Return the z jitter of the frames as far as means of blocks show it."""
+    if means is None:
+        return UNSEEN
+    seen = _offsets(means.flat, z_um, step_um)
     if seen is None or not seen.significant:
         return UNSEEN
-    confirmed = _offsets(smooth, z_um, step_um)
+    confirmed = _offsets(means.smooth, z_um, step_um)
     if confirmed is None or confirmed.variance + confirmed.noise < FRAME_JITTER.confirmed * seen.variance:
         return UNSEEN
     freedom = max(FRAME_JITTER.least_freedom, seen.frames / FRAMES_PER_FREEDOM)
@@ -225,7 +237,7 @@ def _band_means(frames: Frames, side: int) -> Iterator[tuple[Blocks, Blocks]]:
         yield flat.sum(axis=2).astype(np.float32) / side**2, smooth[:, halves]
 
 
-def contrast_of(blocks: Blocks) -> Blocks:
+def _contrast(blocks: Blocks) -> Blocks:
     """Return the deviation of blocks [k, block] from the mean of their frame, as a fraction: flicker drops out."""
     return blocks / np.maximum(blocks.mean(axis=1, keepdims=True), 1e-9) - 1
 
@@ -244,7 +256,7 @@ class _Offsets(NamedTuple):
 
 def _offsets(means: Blocks, z_um: Floats, step_um: float) -> _Offsets | None:
     """Return what means of blocks [k, block] show; None if too few frames change."""
-    contrast = contrast_of(means)
+    contrast = _contrast(means)
     every = _weighted(contrast, CHANGES)  # of the frames from the third on
     change = every[REACH - 2 : len(every) - REACH + 2]
     power, uneven = np.sum(change**2, axis=1), _uneven(z_um / step_um)
