@@ -8,6 +8,9 @@ The photographs have no truth. A pixel is lost where the gradient energy about i
 where it is largest, and invented where it is over one and a half times that: contours, halos and noise. They are
 aligned once, for all programs alike, because focusing a photographic lens changes the magnification.
 
+Of tiles of 32 px, those count in which ours is worse than another picture by more than a grey level. Families of
+samples (`tests/truth/families.py`) stand beside the drawn scenes, a third as many of each.
+
 Programs that are not installed are skipped with the line that installs them. --quick: three small scenes, and the
 middle of the photographs. Tuning sees seeds below 1000.
 """
@@ -15,7 +18,7 @@ middle of the photographs. Tuning sees seeds below 1000.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +30,8 @@ from scipy.ndimage import uniform_filter
 from tests.bench.harness import percent, read_options, show, took
 from tests.bench.peers import INSTALL_OPENCV, PICTURE_PEERS, importable
 from tests.support.paths import ROOT
-from tests.truth.unseen import FIRST_REPORTED_SEED, drawn_scene
+from tests.truth.families import FAMILIES, FamilyScene, family_scene
+from tests.truth.unseen import FIRST_REPORTED_SEED, Unseen, drawn_scene
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import UNMEASURED_FROM
@@ -39,6 +43,7 @@ AROUND_PX = 5
 LEAST_ENERGY = 4.0
 """Gradient energy in grey levels squared that noise and rounding may make or remove."""
 LOST, INVENTED = 0.5, 1.5
+OURS, TILE_PX, WORSE_GREY = "ours, with heights", 32, 1.0
 
 
 class Made(NamedTuple):
@@ -57,7 +62,11 @@ def main() -> None:
         if peer.missing:
             print(f"{name}: {peer.missing}")
     n = min(wanted.scenes, QUICK_SCENES) if wanted.quick else wanted.scenes
-    drawn(range(wanted.first_seed, wanted.first_seed + n), QUICK_SIDE if wanted.quick else SIDE)
+    side, first = QUICK_SIDE if wanted.quick else SIDE, wanted.first_seed
+    reconstruct(drawn_scene(0, 64, faults=False).stack, threads=1)
+    drawn("drawn scenes", (drawn_scene(seed, side, faults=False) for seed in range(first, first + n)))
+    for family in () if wanted.quick else FAMILIES:
+        drawn(family, (family_scene(family, seed) for seed in range(first, first + -(-n // 3))))
     photographed(wanted.photographs, wanted.quick)
 
 
@@ -79,7 +88,7 @@ def makers() -> dict[str, Maker]:
         return run
 
     ours = {
-        "ours, with heights": by(lambda stack: reconstruct(stack, threads=1).all_in_focus),
+        OURS: by(lambda stack: reconstruct(stack, threads=1).all_in_focus),
         "sharpest frame of each pixel": by(sharpest),
     }
     return ours | {name: peer(name) for name, one in PICTURE_PEERS.items() if one.missing is None}
@@ -108,29 +117,49 @@ class Errors(NamedTuple):
 NOTHING = Errors(np.nan, np.nan)
 
 
-def drawn(seeds: range, side: int) -> None:
-    """Error against the truth, on measured pixels and on the others."""
-    reconstruct(drawn_scene(0, 64, faults=False).stack, threads=1)
+def drawn(name: str, scenes: Iterable[Unseen | FamilyScene]) -> None:
+    """Error against the truth, on measured pixels and on the others, and tiles in which ours is worse."""
     found: dict[str, list[tuple[Errors, Errors, float]]] = {name: [] for name in makers()}
-    for seed in seeds:
-        scene = drawn_scene(seed, side, faults=False)
+    worse: dict[str, list[NDArray[np.bool_]]] = {name: [] for name in found}
+    for scene in scenes:
         unmeasured = reconstruct(scene.stack, threads=1).origin >= UNMEASURED_FROM
-        for name, make in makers().items():
-            made = make(scene.stack)
-            both = (errors(made.picture, scene.sharp_grey, where) for where in (~unmeasured, unmeasured))
-            found[name].append((*both, made.ms))
-        print(f"seed {seed}, {scene.about}: {percent(float(np.mean(~unmeasured)))} % measured", flush=True)
-    header = ("picture", "RMS measured", "energy", "RMS unmeasured", "median", "energy", "ms a frame and Mpx")
-    title = f"Scenes of seeds {seeds[0]} to {seeds[-1]}: RMS of grey, mean and median; gradient energy, median"
-    show(title, header, [(name, *_summary(each)) for name, each in found.items()])
+        made = {name: make(scene.stack) for name, make in makers().items()}
+        ours = tile_errors(made[OURS].picture, scene.sharp_grey)
+        for name, one in made.items():
+            both = (errors(one.picture, scene.sharp_grey, where) for where in (~unmeasured, unmeasured))
+            found[name].append((*both, one.ms))
+            worse[name].append((ours > tile_errors(one.picture, scene.sharp_grey) + WORSE_GREY).ravel())
+        print(f"{scene.about}: {percent(float(np.mean(~unmeasured)))} % measured", flush=True)
+    header = (
+        "picture", "RMS measured", "energy", "RMS unmeasured", "median", "energy", "ms a frame and Mpx",
+        "ours worse, % of tiles",
+    )  # fmt: skip
+    title = f"{name}: RMS of grey, mean and median; gradient energy, median"
+    tiles = {name: percent(float(np.concatenate(each).mean())) for name, each in worse.items()}
+    show(title, header, [(name, *_summary(each), tiles[name]) for name, each in found.items()])
+
+
+def tile_errors(picture: NDArray, truth: NDArray) -> NDArray[np.float64]:
+    """RMS error of grey of each whole tile."""
+    rows, cols = (n // TILE_PX for n in picture.shape)
+    square = (picture.astype(float) - truth)[: rows * TILE_PX, : cols * TILE_PX] ** 2
+    return np.sqrt(square.reshape(rows, TILE_PX, cols, TILE_PX).mean(axis=(1, 3)))
 
 
 def _summary(each: list[tuple[Errors, Errors, float]]) -> tuple[float, ...]:
     measured, unmeasured = (np.array([one[n] for one in each]) for n in (0, 1))
     ms = float(np.median([one[2] for one in each]))
-    means = float(np.nanmean(measured[:, 0])), float(np.nanmean(unmeasured[:, 0]))
-    energies = float(np.nanmedian(measured[:, 1])), float(np.nanmedian(unmeasured[:, 1]))
-    return means[0], energies[0], means[1], float(np.nanmedian(unmeasured[:, 0])), energies[1], ms
+    means = _mean(measured[:, 0]), _mean(unmeasured[:, 0])
+    energies, middle = [_median(values) for values in (measured[:, 1], unmeasured[:, 1])], _median(unmeasured[:, 0])
+    return means[0], energies[0], means[1], middle, energies[1], ms
+
+
+def _mean(values: NDArray) -> float:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
+
+
+def _median(values: NDArray) -> float:
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan
 
 
 def errors(picture: NDArray, truth: NDArray, where: NDArray[np.bool_]) -> Errors:

@@ -32,7 +32,7 @@ from scipy.special import j1
 from tests.truth.phase import Transfer
 from tests.truth.relief import drawn_relief
 from tests.truth.shapes import blobs, patches
-from tests.truth.unseen import drawn_scene, log_uniform
+from tests.truth.unseen import drawn_scene, light_at_heights, log_uniform
 from tests.truth.views import Camera
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
@@ -48,7 +48,7 @@ WIDENING = 0.04
 
 @dataclass(frozen=True, eq=False)
 class FamilyScene:
-    """A drawn scene: its stack, its true heights in um, float32 [row, col], and its depth of field.
+    """A drawn scene: its stack, true heights in um and grey in focus, float32 [row, col], and its depth of field.
 
     Without waves, the depth of field is the distance over which the blur grows by one pixel.
     """
@@ -56,6 +56,7 @@ class FamilyScene:
     about: str
     stack: FieldStack
     truth_um: NDArray[np.float32]
+    sharp_grey: NDArray[np.float32]
     depth_of_field_um: float
 
     @property
@@ -187,7 +188,9 @@ def shot(
     stack = FieldStack(field, images, z_um, present, lens.pixel_um, simulated=True, depth_of_field_um=told_um)
     step_um = float(z_um[1] - z_um[0])
     about = f"{about}, {lens.kind}, {len(z_um)} frames of {step_um / depth_um:.2f} depths of field"
-    return FamilyScene(about, stack, height_um.astype(np.float32), depth_um)
+    truth_um = height_um.astype(np.float32)
+    sharp_grey = 255 * light_at_heights(light, z_um, truth_um).clip(0, 1)
+    return FamilyScene(about, stack, truth_um, sharp_grey, depth_um)
 
 
 def noisy(rng: Rng, low: float, high: float) -> Camera:
@@ -266,7 +269,7 @@ def grain(shape: tuple[int, int], rng: Rng) -> Array:
 
 def trenches(seed: int) -> FamilyScene:
     scene = drawn_scene(seed)
-    return FamilyScene(scene.about, scene.stack, scene.truth_um, scene.instrument.depth_of_field_um)
+    return FamilyScene(scene.about, scene.stack, scene.truth_um, scene.sharp_grey, scene.instrument.depth_of_field_um)
 
 
 def printed(seed: int) -> FamilyScene:
@@ -305,7 +308,8 @@ def textbook(seed: int) -> FamilyScene:
 def bumps(seed: int) -> FamilyScene:
     if seed % 2 == 0:
         relief = drawn_relief(seed, 160, "bumps")
-        return FamilyScene(f"bumps, {relief.about}", relief.stack, relief.truth_um.astype(np.float32), relief.depth_um)
+        truth_um = relief.truth_um.astype(np.float32)
+        return FamilyScene(f"bumps, {relief.about}", relief.stack, truth_um, relief.sharp_grey, relief.depth_um)
     rng = np.random.default_rng((seed, 53))
     shape = (256, 256)
     lens, step_um = wave_lens(rng, 0.25)

@@ -14,6 +14,7 @@ import numpy as np
 from tests.truth.scene import PIXEL_UM
 from tests.truth.scenes import MARGIN_PX, smooth_scene
 from tests.truth.shapes import Array, blobs, lattice_um, turned
+from tests.truth.unseen import light_at_heights
 from tests.truth.views import Camera, Optics, light_of, white_light_of
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
@@ -28,7 +29,7 @@ RELIEFS = ("plane", "waves", "bumps", "saddle", "rough")
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """A drawn relief: its stack and its true heights in um, [row, col].
+    """A drawn relief: its stack, its true heights in um and the grey of each pixel in focus, [row, col].
 
     steps_a_window: how many frames its steepest place rises over 9 px; step_dof: the step in depths of field.
     """
@@ -41,6 +42,7 @@ class Relief:
     full_well_e: float
     stack: FieldStack
     truth_um: Array
+    sharp_grey: Array
 
     @property
     def step_um(self) -> float:
@@ -85,6 +87,7 @@ def drawn_relief(seed: int, side: int = 160, name: str | None = None) -> Relief:
     light = light_of(scene, optics, z_um)
     light /= np.float32(white_light_of(scene, light, z_um, 0.001))
     full_well_e = _log_uniform(rng, 4e3, 4e4)
+    sharp_grey = 255 * light_at_heights(light, z_um, scene.truth_um).clip(0, 1)
     images = Camera(full_well_e, float(rng.uniform(0.2, 1.0))).shoot(light, 1.0, seed)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=float(z_um[0]))
     aperture_known = bool(rng.random() < 0.5)
@@ -94,7 +97,7 @@ def drawn_relief(seed: int, side: int = 160, name: str | None = None) -> Relief:
     )  # fmt: skip
     truth_um = scene.truth_um.astype(np.float64)
     steepest = float(np.hypot(*np.gradient(truth_um)).max())
-    return Relief(seed, name, na, step_dof, WINDOW_PX * steepest / step_um, full_well_e, stack, truth_um)
+    return Relief(seed, name, na, step_dof, WINDOW_PX * steepest / step_um, full_well_e, stack, truth_um, sharp_grey)
 
 
 def _shape(name: str, shape: tuple[int, int], rng: np.random.Generator) -> Array:

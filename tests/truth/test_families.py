@@ -51,7 +51,9 @@ def test_pictures_are_sharpest_at_the_true_height(family):
 @pytest.mark.slow
 def test_a_wrong_truth_makes_all_heights_false():
     scene = drawn("bumps")
-    wrong = FamilyScene("", scene.stack, scene.truth_um + np.float32(5 * scene.depth_of_field_um), 0.0)
+    wrong = FamilyScene(
+        "", scene.stack, scene.truth_um + np.float32(5 * scene.depth_of_field_um), scene.sharp_grey, 0.0
+    )
     right, false = judge("bumps", SEED, scene), judge("bumps", SEED, wrong)
     assert right.false_of_kept < 0.01 < 0.9 < right.right / right.known
     assert false.false_of_kept > 0.99

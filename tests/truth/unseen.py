@@ -240,7 +240,7 @@ def shot(
 ) -> Unseen:
     """What the camera makes of light [k, row, col], given as a share of white."""
     n = len(z_um)
-    sharp_grey = 255 * _at_heights(light, z_um, truth_um).clip(0, 1)
+    sharp_grey = 255 * light_at_heights(light, z_um, truth_um).clip(0, 1)
     _drift(light, instrument.drift_px)
     light *= (1 + instrument.flicker * rng.standard_normal(n)).clip(0.5, 1.5).astype(np.float32)[:, None, None]
     faulty = rng.choice(n, instrument.flashes + instrument.dark, replace=False)
@@ -253,7 +253,7 @@ def shot(
     return Unseen(seed, about, instrument, stack, truth_um, wall_distance_px, sharp_grey)
 
 
-def _at_heights(
+def light_at_heights(
     light: NDArray[np.float32], z_um: NDArray[np.float64], at_um: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """The light [k, row, col] of each pixel at a height: a parabola through the three nearest frames."""

@@ -316,7 +316,7 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
     """Return the height map with its layers, position and provenance."""
     stack, peaks = field.stack, corrected.gated.peaks
     health, jitter_note = frame_health(field, cleaned.z_raw_um)
-    picture = field.frames.as_stored_counts(read_picture(field, peaks, cleaned))
+    picture = field.frames.as_stored_counts(read_picture(field, corrected, cleaned))
     return HeightMap(
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
@@ -371,11 +371,12 @@ def uncertainty(
     return add_gaps(u_um, cleaned.z_raw_um, frame_gaps(field.frames.z_um, _depth_um(field)))
 
 
-def read_picture(field: PreparedField, peaks: Peaks, cleaned: CleanedHeights) -> Image:
+def read_picture(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights) -> Image:
     """Return the all-in-focus image, read at the cleaned heights."""
     fit = FrameFit.of(field.frames, float(field.tuned.recipe.focus_width_um))
     measured = cleaned.origin < UNMEASURED_FROM
-    return all_in_focus(peaks, cleaned.z_um, measured, field.tuned.gate.min_contrast, fit)
+    walls, min_contrast = corrected.edges is not None, field.tuned.gate.min_contrast
+    return all_in_focus(corrected.gated.peaks, cleaned.z_um, measured, walls, min_contrast, fit)
 
 
 def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[FrameHealth, tuple[str, ...]]:
@@ -464,7 +465,7 @@ def warm_up_stages() -> None:
     peaks = Peaks.empty(frames.shape, frames.dtype)
     for layer in (*peaks.scores, peaks.at_end, peaks.clipped):
         layer[:] = 0
-    all_in_focus(peaks, z_um, np.isfinite(z_um), 0.0, FrameFit.of(frames, 3.0))
+    all_in_focus(peaks, z_um, np.isfinite(z_um), False, 0.0, FrameFit.of(frames, 3.0))
     recipe = settle_cleaning([z_um], replace(Recipe(), window=9, focus_width_um=3.0), 1.0)
     clean(z_um, 1.0, recipe, 1.0, np.zeros(frames.shape, np.bool_))
     warm_up_edges(frames, window=9)

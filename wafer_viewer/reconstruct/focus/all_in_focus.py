@@ -5,9 +5,10 @@ sharpest frame changes, and less noise than a single frame has. The depth of mea
 across the others, because on ground without texture the sharpest frame is arbitrary, and the image would break into
 patches.
 
-Beside walls an unmeasured pixel belongs either to the surface that the membrane continues or to the one on which it
-seems sharpest. Out of focus a surface loses light to its surroundings; in focus it keeps all of its own and receives
-that of others in addition. The brighter of the two readings is therefore right.
+An unmeasured pixel with texture is read at its own peak. Beside walls it belongs either to the surface that the
+membrane continues or to the one on which it seems sharpest. Out of focus a surface loses light to its surroundings; in
+focus it keeps all of its own and receives that of others in addition. The brighter of the two readings is therefore
+right.
 
 Heights do not change.
 """
@@ -102,7 +103,14 @@ class FrameFit:
             _read(block, z_um[rows], wanted[rows], self.frames.z_um, weights, white, out[rows])
 
 
-def all_in_focus(peaks: Peaks, z_um: Floats, measured: NDArray[np.bool_], min_contrast: float, fit: FrameFit) -> Image:
+def all_in_focus(
+    peaks: Peaks,
+    z_um: Floats,
+    measured: NDArray[np.bool_],
+    walls: bool,
+    min_contrast: float,
+    fit: FrameFit,
+) -> Image:
     """Return the all-in-focus image, uint8 or uint16 [row, col], in the counts that frames are read in.
 
     Parameters
@@ -113,6 +121,8 @@ def all_in_focus(peaks: Peaks, z_um: Floats, measured: NDArray[np.bool_], min_co
         Cleaned heights, NaN where there is none.
     measured : ndarray of bool, [row, col]
         Pixels whose peak counts, or that were filled.
+    walls : bool
+        Whether walls were found, over which light bleeds.
     min_contrast : float
         Contrast of focus curves of pure noise, in powers of two.
     fit : FrameFit
@@ -128,7 +138,8 @@ def all_in_focus(peaks: Peaks, z_um: Floats, measured: NDArray[np.bool_], min_co
     picture = np.empty(z_um.shape, fit.frames.dtype)
     fit.read(membrane(z_um), np.ones(z_um.shape, np.bool_), picture)
     if not measured.all():
-        _brighten(picture, peaks, _own_depth_weight(peaks, measured, min_contrast), fit)
+        weight = _own_depth_weight(peaks, measured, min_contrast)
+        _read_own_depths(picture, peaks, weight, walls, fit)
         _whiten(picture, peaks, ~measured, fit.frames)
     return picture
 
@@ -141,13 +152,14 @@ def _own_depth_weight(peaks: Peaks, measured: NDArray[np.bool_], min_contrast: f
     return mean(weight * usable, PICTURE.side_px) * usable
 
 
-def _brighten(picture: Image, peaks: Peaks, weight: Floats, fit: FrameFit) -> None:
-    """Replace greys by those at the peaks, as far as these are brighter."""
+def _read_own_depths(picture: Image, peaks: Peaks, weight: Floats, walls: bool, fit: FrameFit) -> None:
+    """Replace greys by those at the peaks; only by brighter ones beside walls, and where clipped light has no peak."""
     wanted = weight > 0
     at_peak = picture.copy()
     fit.read(peaks.z_um, wanted, at_peak)
     more = at_peak[wanted].astype(np.float32) - picture[wanted]
-    picture[wanted] += np.rint(weight[wanted] * more.clip(min=0)).astype(picture.dtype)
+    np.copyto(more, 0, where=(more < 0) & (walls | (peaks.clipped[wanted] > 0)))
+    picture[wanted] = np.rint(picture[wanted] + weight[wanted] * more).astype(picture.dtype)
 
 
 def _whiten(picture: Image, peaks: Peaks, unmeasured: NDArray[np.bool_], frames: Frames) -> None:
