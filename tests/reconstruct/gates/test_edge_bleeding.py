@@ -31,6 +31,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     Surroundings,
     classify_sides,
     find_band,
+    heights_near,
     surroundings,
 )
 from wafer_viewer.reconstruct.gates.focus_along_walls import (
@@ -213,9 +214,12 @@ def test_a_long_silhouette_is_a_wall_and_a_short_one_if_it_persists() -> None:
     assert band.inside[80:83, 100:110].all()
 
 
-def around(silhouette: Silhouette, z_um: NDArray[np.float32]) -> Surroundings:
+def around(silhouette: Silhouette, z_um: NDArray[np.float32], mirrored: bool = False) -> Surroundings:
     """What heights say about silhouettes that persist through 2 frames, where walls persist through 5."""
-    return surroundings(silhouette, 5, z_um, np.isfinite(z_um), 1.0, reach_px=8)
+    passed = np.isfinite(z_um)
+    heights_um = heights_near(silhouette, 5, z_um, passed)
+    symmetric = np.full(heights_um.shape, mirrored)
+    return surroundings(silhouette, 5, heights_um, passed, symmetric, 1.0, reach_px=8)
 
 
 def test_one_surface_around_a_silhouette_makes_it_none_but_at_the_border_of_the_frame() -> None:
@@ -225,6 +229,13 @@ def test_one_surface_around_a_silhouette_makes_it_none_but_at_the_border_of_the_
     assert band is not None
     assert not band.inside[:, :100].any()
     assert band.inside[10:90, 116:].all()
+
+
+def test_a_silhouette_amid_symmetric_light_is_print_though_little_is_measured() -> None:
+    found, few = silhouettes((slice(10, 90), slice(60, 62), 9)), np.full((200, 240), np.nan, np.float32)
+    few[:, 110:130] = 0
+    assert find_band(found, 5, 8, around(found, few)) is not None
+    assert find_band(found, 5, 8, around(found, few, mirrored=True)) is None
 
 
 def test_a_faint_silhouette_is_a_wall_where_the_heights_jump_beside_it() -> None:

@@ -36,6 +36,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import (
     Sides,
     classify_sides,
     find_band,
+    heights_near,
     outline_grey,
     surroundings,
 )
@@ -52,6 +53,7 @@ from wafer_viewer.reconstruct.gates.focus_along_walls import (
     vectors_px,
 )
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
+from wafer_viewer.reconstruct.gates.mirrored_light import mirrored_light
 from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE, Silhouette, silhouette_of
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
@@ -174,7 +176,9 @@ def find_edges(
     silhouette, passed = silhouette or silhouette_of(frames, threads), origin == Origin.MEASURED
     if not (silhouette.standing >= WALL.faint_frames(how.standing_frames)).any():
         return None
-    around = surroundings(silhouette, how.standing_frames, peaks.z_um, passed, how.tolerance_um, how.reach_px)
+    heights_um = heights_near(silhouette, how.standing_frames, peaks.z_um, passed)
+    mirrored = mirrored_light(frames, heights_um, how.gap, how.camera, threads)
+    around = surroundings(silhouette, how.standing_frames, heights_um, passed, mirrored, how.tolerance_um, how.reach_px)
     band = find_band(silhouette, how.standing_frames, how.reach_px, around)
     if band is None:
         return None
@@ -237,7 +241,9 @@ def warm_up(frames: Frames, window: int) -> None:
     sides = classify_sides(_outline_grey(frames, band, threads=1), band, dark_counts=1.0)
     shape = frames.shape
     z_um, passed = np.zeros(shape, np.float32), np.ones(shape, np.bool_)
-    level = surroundings(silhouette, 0.0, z_um, passed, 1.0, BAND_REACH_PX).level
+    heights_um = heights_near(silhouette, 0.0, z_um, passed)
+    mirrored = mirrored_light(frames, heights_um, 1, CameraNoise(0.5, 80.0), threads=1)
+    level = surroundings(silhouette, 0.0, heights_um, passed, mirrored, 1.0, BAND_REACH_PX).level
     side_heights_um(z_um, passed, np.zeros(shape, frames.dtype), band, sides, 1.0, 1.0, level)
     blurred(z_um, 1.0)
     expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))

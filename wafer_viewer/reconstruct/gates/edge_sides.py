@@ -1,8 +1,9 @@
 """Sides of a wall: classification of the pixels near its silhouette.
 
-A wall is a long silhouette that persists. One between sides that are nearly as bright, or seen by a narrow cone of
-light, persists for few frames: it is a wall all the same where the heights jump beside it or are few. Such a faint wall
-judges its dark side only, on which light bleeds.
+A wall is a long silhouette that persists, unless heights or the light around it show that it is a pattern on a surface.
+One between sides that are nearly as bright, or seen by a narrow cone of light, persists for few frames: it is a wall
+all the same where the heights jump beside it or are few. Such a faint wall judges its dark side only, on which light
+bleeds.
 
 The frame in which the wall is sharpest is used: there, at the foot or the top of the wall, light does not bleed over
 it. A pixel next to the outline that is neither clearly dark nor clearly bright is assigned to no side.
@@ -214,8 +215,9 @@ class Band(NamedTuple):
 class Surroundings(NamedTuple):
     """Evidence of the heights around silhouettes for and against walls, bool [row / 4, col / 4].
 
-    smooth: one measured surface without jumps, where no wall is; uneven: few heights, or jumps and some not measured,
-    where even a faint silhouette is a wall; level: one measured surface without jumps on both sides of a line.
+    smooth: one measured surface without jumps, or print, where no wall is; uneven: few heights, or jumps and some not
+    measured, where even a faint silhouette is a wall; level: one measured surface without jumps on both sides of a
+    line.
     """
 
     smooth: NDArray[np.bool_]
@@ -295,39 +297,49 @@ def _parts(silhouettes: NDArray[np.bool_], gap: int = 0) -> tuple[NDArray[np.int
     return parts, np.array([0, *extents]) >= WALL.least_length_px // 2
 
 
+def heights_near(
+    silhouette: Silhouette, standing_frames: float, z_um: NDArray[np.float32], passed: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the heights of the cells around silhouettes that may be walls; NaN elsewhere and where they are few."""
+    return cell_medians(z_um, passed, _cells_near(silhouette.standing >= WALL.faint_frames(standing_frames)))
+
+
+def _cells_near(silhouettes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return highest(halved(silhouettes) > 0, 2 * REACH_CELLS + 3)
+
+
 def surroundings(
     silhouette: Silhouette,
     standing_frames: float,
-    z_um: NDArray[np.float32],
+    heights_um: NDArray[np.float32],
     passed: NDArray[np.bool_],
+    mirrored: NDArray[np.bool_],
     tolerance_um: float,
     reach_px: int,
 ) -> Surroundings:
     """Return what the heights around silhouettes say about walls.
 
-    Jumps are looked for around silhouettes that may be walls only. z_um, passed: [row, col], passed is the gate mask;
-    tolerance_um: tolerance for equal heights. A wall separates two heights, or a surface from one that is too weakly
-    textured to be measured as far as an anchor reaches. Within `reach_px` of the border of the frame the window sees
-    one side of a silhouette only: no surface goes on beyond it for sure.
+    Jumps are looked for around silhouettes that may be walls only. heights_um: from `heights_near`; passed: the gate
+    mask, [row, col]; mirrored: from `mirrored_light`; tolerance_um: tolerance for equal heights. A wall separates two
+    heights, or a surface from one that is too weakly textured to be measured as far as an anchor reaches. Within
+    `reach_px` of the border of the frame the window sees one side of a silhouette only: no surface goes on beyond it
+    for sure.
     """
     size = 2 * REACH_CELLS + 1
-    sure, faint = (
-        highest(halved(silhouette.standing >= frames) > 0, size + 2)
-        for frames in (standing_frames, WALL.faint_frames(standing_frames))
-    )
-    planes = local_planes(cell_medians(z_um, passed, faint), WALL.plane_cells)
+    sure = _cells_near(silhouette.standing >= standing_frames)
+    planes = local_planes(heights_um, WALL.plane_cells)
     jumps = planes.residual > WALL.jump_residual * WALL.jump_tolerances * tolerance_um
-    passed_share = cell_means(passed.view(np.uint8), faint.shape)
+    passed_share = cell_means(passed.view(np.uint8), heights_um.shape)
     measured_share = mean(passed_share, size)
     complete = measured_share >= WALL.measured_share
     smooth = complete & ~highest(jumps & sure, size)
     border = -(-reach_px // COARSE_PX)
     smooth[:border] = smooth[-border:] = smooth[:, :border] = smooth[:, -border:] = False
     few = measured_share < WALL.few_share
-    uneven = ~complete & (few | highest(jumps, 2 * WALL.uneven_cells + 1))
+    uneven = ~complete & (few | highest(jumps, 2 * WALL.uneven_cells + 1)) & ~mirrored
     beside = 2 * WALL.level_cells + 1
     level = (mean(passed_share, beside) >= WALL.measured_share) & ~highest(jumps, beside)
-    return Surroundings(smooth, uneven, level)
+    return Surroundings(smooth | mirrored, uneven, level)
 
 
 def classify_sides(grey: NDArray[np.float32], band: Band, dark_counts: float) -> Sides:
