@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_valid
 from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads
-from wafer_viewer.reconstruct.frame_blocks import Frames, Part, StackSource, developed, stripes
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, StackWindow, developed, stripes
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
 
@@ -93,7 +93,7 @@ def mirrored_light(
     found = Symmetry(*(np.zeros(heights_um.shape, np.float32) for _ in Symmetry._fields))
     z_um, step_um = frames.z_um, frames.step_um
 
-    def add_parts(todo: Iterator[Part]) -> None:
+    def add_parts(todo: Iterator[StackWindow]) -> None:
         grey = np.empty((frames.n_frames, heights_um.shape[1]), np.float32)
         for (rows, *_), block in developed(frames, todo, 0):
             first = rows.start // COARSE_PX

@@ -81,8 +81,16 @@ def stitch_images(
         Returns True if the work should stop.
     channel, time, only : str, optional
         Choices where the files have several; see `open_stack`.
-    columns, order, corner, mirror, places
-        Grid or table of the places; see `import_dataset`.
+    columns : int, optional
+        Columns of a grid whose fields have running numbers. Default: one row.
+    order : {"rows", "columns", "snake-rows", "snake-columns"}, default "rows"
+        Along which lines the running numbers go; in a snake every second line runs back.
+    corner : {"top-left", "top-right", "bottom-left", "bottom-right"}, default "top-left"
+        Where they begin.
+    mirror : {"none", "x", "y", "both"}, default "none"
+        Axes whose direction is reversed, where a grid comes out mirrored.
+    places : str or Path, optional
+        Table of the places of the fields; see `import_dataset`.
 
     Returns
     -------

@@ -332,8 +332,7 @@ def dataset_of(
     source = read_source(srcs, options)
     for note in source.notes:
         warn(note)
-    if source.is_tiled:
-        raise DatasetError(f"Import stopped: {ONE_IMAGE} {NOTHING_WRITTEN}")
+    _require_stacks(source)
     for field in source.fields:
         name = field.name if len(source.fields) > 1 or options.pattern is not None else "the source"
         _require_frames(sum(None not in slot for slot in field.slots), name)
@@ -542,6 +541,11 @@ def _require_free(target: Path) -> None:
 
 
 ONE_IMAGE = "each field has one image, and heights need a stack: make one picture of them with stitch-images."
+
+
+def _require_stacks(source: ImportSource) -> None:
+    if source.is_tiled:
+        raise DatasetError(f"Import stopped: {ONE_IMAGE} {NOTHING_WRITTEN}")
 
 
 def _require_frames(n_frames: int, source: str) -> None:
