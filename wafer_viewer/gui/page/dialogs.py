@@ -127,6 +127,7 @@ FIELDS: dict[str, str] = {
     "Pixel, µm": "Size of a pixel on the sample, µm; over 0",
     "Pattern": "How files are named, r{row}_c{col}_k{k}.tif; empty for one stack",
     "Only": "Files to take, by a pattern of their names such as img_*.png; empty: all",
+    "Lines": "Meaning of the lines of a text file: points by x, y, z, or the rows of a matrix of heights",
     "Numbered": "In which order the running numbers of the fields go through the grid",
     "Begins": "The corner of the grid where the first field lies",
     "Format": "The ending of the file follows",

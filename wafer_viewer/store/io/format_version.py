@@ -5,7 +5,8 @@ from `OLDEST` on is read:
 
 - 1: manifests without the lengths of logs. Its first datasets have no manifests, no checksums in ``scan.json``, journal
   and tags of frames, no provisional passes, and 0 for a size of the sample that is not given.
-- 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has.
+- 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has. Heights do not say
+  whether an import made up the positions of their fields.
 """
 
 from __future__ import annotations
