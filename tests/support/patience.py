@@ -9,7 +9,7 @@ PATIENCE_S = 240.0
 """Kernels may have to be compiled first, on a machine that does other things as well."""
 
 
-def until(due: Callable[[], object], within_s: float = 60.0) -> None:
+def until(due: Callable[[], object], within_s: float = 120.0) -> None:
     """Wait until it holds. Raises AssertionError when it does not in time."""
     end_s = time.monotonic() + within_s
     while not due():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import TypeVar
 
 from wafer_viewer.model.errors import DatasetError
@@ -20,6 +21,15 @@ def silent(_: float) -> None:
 def never() -> bool:
     """Return False: never stop."""
     return False
+
+
+def part_of(progress: Progress, begin: float, end: float) -> Progress:
+    """Return the progress of a part of a computation, which takes the fractions from begin to end of the whole."""
+    return partial(_tell_part, progress, begin, end)
+
+
+def _tell_part(progress: Progress, begin: float, end: float, share: float) -> None:
+    progress(begin + (end - begin) * share)
 
 
 T = TypeVar("T")

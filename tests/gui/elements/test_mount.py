@@ -175,7 +175,8 @@ def test_what_a_person_sets_comes_as_the_value_of_the_element(mount: Mount, elem
     put: list[Any] = []
     mount.show([element("Width", first, put.append, "")])
     set_by_a_person(widgets(mount)[0], typed)
-    until(lambda: put == [got])
+    until(lambda: put)
+    assert put == [got]
 
 
 def test_a_number_that_is_none_is_refused_with_its_name_and_limit(mount: Mount, page: Page):

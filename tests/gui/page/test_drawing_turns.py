@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.fake_session import FakeSession
+from tests.support.patience import until
 from tests.support.plain_browser import PlainBrowser
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.page.page import DrawingTurns, Page
@@ -145,10 +145,3 @@ def test_while_states_come_fast_one_browser_that_looks_on_is_drawn_at_a_time(mon
         running.stop()
     assert most == 1
     assert n_of_holder >= 10
-
-
-def until(due: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + 60
-    while not due():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)

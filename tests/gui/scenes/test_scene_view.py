@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import io
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from types import SimpleNamespace
 
@@ -27,6 +26,7 @@ from tests.support.page_stand_in import (
     job_and_plan,
     snapshot_of,
 )
+from tests.support.patience import until
 from tests.support.stage_props import Browser, RecordingScene
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.scene.camera_presets import Clear, direction_of, fit
@@ -60,14 +60,6 @@ def two_levels() -> HeightMap:
     z[:30, -40:] = np.nan
     pixel = 4 * PIXEL_UM
     return height_map(z, pixel, -(cols - 1) / 2 * pixel, (rows - 1) / 2 * pixel)
-
-
-def until(condition: Callable[[], object], timeout_s: float = 120.0) -> None:
-    """Watch for something that another thread brings about."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "it did not come about in time"
-        time.sleep(0.005)
 
 
 @pytest.fixture

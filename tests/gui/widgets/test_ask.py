@@ -122,6 +122,23 @@ def test_without_anything_to_ask_there_is_no_answer(page: Page):
     assert ask("height", 2, None, "Failed").value is None
 
 
+def test_an_answer_that_comes_when_nothing_is_asked_any_more_is_not_shown(page: Page):
+    ask, begun, going, ended = Ask(page), *(threading.Event() for _ in range(3))
+
+    def late() -> int:
+        begun.set()
+        going.wait(5)
+        return 1
+
+    ask("height", 1, late, "Failed", about="step")
+    assert begun.wait(5)
+    ask("height", 2, None, "Failed", about="step")
+    ask._questions["height"].worker.ask(ended.set)  # after the late one, on its thread
+    going.set()
+    assert ended.wait(5)
+    assert (ask.known("height").value, ask.known("height").computing) == (None, False)
+
+
 def test_a_forgotten_answer_is_asked_again_and_stands_meanwhile(page: Page):
     ask, computed = Ask(page), list[int]()
     ask("contents", 1, lambda: computed.append(1), "Failed")

@@ -20,8 +20,7 @@ from wafer_viewer.gui.presenters import measurement as words
 from wafer_viewer.gui.presenters.measurement import ZERO, not_evaluated, source
 from wafer_viewer.gui.scenes.thumbnails import painted
 from wafer_viewer.gui.state.view_state import Tool, View
-from wafer_viewer.gui.steps.profiles import FAILED as LINE_FAILED
-from wafer_viewer.gui.steps.profiles import profile_elements
+from wafer_viewer.gui.steps.profiles import profile_inputs
 from wafer_viewer.gui.tools.region_tools import has_required_kinds
 from wafer_viewer.gui.tools.tool_palette import tool_cards
 from wafer_viewer.gui.widgets import html
@@ -84,7 +83,7 @@ def measure_step(here: Here[MeasureState]) -> Elements | None:
         Stack(_levelling(here)),
         Stack(_faces(here)) if tool is not None and tool.name == "step" else None,
         Stack(tuple(_options(here, tool)), key=tool.name) if tool is not None else None,
-        Stack(profile_elements(here, here.own.curves), failed=LINE_FAILED) if view.tool == "profile" else None,
+        profile_inputs(here, here.own.curves) if view.tool == "profile" else None,
         Html(_evidence(finding) if finding is not None else ""),
         Stack(tuple(_keeping(here, finding, stored=stored))),
     ]

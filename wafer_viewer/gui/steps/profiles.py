@@ -121,7 +121,7 @@ BEFORE_HINT = "Points of the cloud before the cut along the active line"
 ROW_HINT, COLUMN_HINT = "Number of the row of pixels, 0 the top one", "Number of the column of pixels, 0 the left one"
 
 
-def profile_elements(here: Here[Any], curves: LiveProfiles) -> Elements:
+def profile_inputs(here: Here[Any], curves: LiveProfiles) -> Stack:
     """Return the inputs of the profile tool."""
     page, view, lines = here.page, here.view, LineCommands(here.page)
     line, read, others = view.active_line, curves.gap, _others(here)
@@ -148,7 +148,7 @@ def profile_elements(here: Here[Any], curves: LiveProfiles) -> Elements:
     removed = Button("Remove line", lines.remove, icon.TRASH, disabled=alone)
     along_x = Button("Horizontal cut", lambda: lines.cut("row"), icon.ARROWS_HORIZONTAL)
     along_y = Button("Vertical cut", lambda: lines.cut("column"), icon.ARROWS_VERTICAL)
-    return [
+    inputs = [
         Buttons([added, removed], 30),
         Buttons([along_x, along_y], 30),
         *_numbers(here, lines),
@@ -162,6 +162,7 @@ def profile_elements(here: Here[Any], curves: LiveProfiles) -> Elements:
             [file(".csv", "Profiles as CSV", icon.TABLE_EXPORT), file(".png", "Profiles as PNG", icon.PHOTO_DOWN)], 30
         ),
     ]
+    return Stack(inputs, failed=FAILED)
 
 
 def _numbers(here: Here[Any], lines: LineCommands) -> Elements:

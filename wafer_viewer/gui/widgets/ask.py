@@ -74,13 +74,11 @@ class Ask:
             worker = LatestOnlyWorker(name)
             self._page.on_close(worker.close)
             question = self._questions[name] = _Question(worker, about, _NEVER, Answer())
-        if question.stamp == stamp and question.about == about:
-            return question.answer
-        if compute is None or question.about != about:
-            question.answer = Answer()
-        question.stamp, question.about = stamp, about
-        if compute is not None:
-            question.answer = Answer(question.answer.value, question.answer.problem, computing=True)
+        if compute is None:  # an answer that is on its way comes too late
+            question.stamp, question.about, question.answer = _NEVER, _NEVER, Answer()
+        elif (question.stamp, question.about) != (stamp, about):
+            shown = question.answer if question.about == about else Answer()
+            question.stamp, question.about, question.answer = stamp, about, replace(shown, computing=True)
             question.worker.ask(lambda: guarded(self._page, failed)(self._answer)(question, stamp, about, compute))
         return question.answer
 

@@ -14,7 +14,7 @@ from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, n_local_wo
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.progress import Progress, part_of
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
@@ -81,11 +81,11 @@ def surface_of(
     from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
-    stack = stack_of(files, images, progress=lambda share: tell(READ_SHARE * share))
+    stack = stack_of(files, images, progress=part_of(tell, 0, READ_SHARE))
     for note in stack.notes:
         warn(note)
     _compile(HEIGHTS, warn)
-    surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
+    surface = reconstruct(stack, recipe, part_of(tell, READ_SHARE, 1))
     return surface, summarise(surface, 1, result, recipe)
 
 
@@ -111,8 +111,8 @@ def make_surface(
         with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
             crew.require_sight(data.path)
             share = 0 if not todo else 1 - STITCH_SHARE
-            _reconstruct(data, result, recipe, todo, crew, partial(_part, tell, 0, share), warn)
-            drawn = partial(_part, tell, share, 1 - share)
+            _reconstruct(data, result, recipe, todo, crew, part_of(tell, 0, share), warn)
+            drawn = part_of(tell, share, 1)
             return bring_up_to_date(data.path, result, recipe, crew=crew, progress=drawn)
     finally:
         lock.release()
@@ -230,7 +230,7 @@ def _outcomes(
     """
     stored, n = data.result(result), 0
     while n < len(todo) and (isinstance(crew, LocalRunner) or (recipe.heights_have_auto and stored.settled() is None)):
-        task = partial(reconstruct_field, progress=partial(_part, tell, n / len(todo), 1 / len(todo)))
+        task = partial(reconstruct_field, progress=part_of(tell, n / len(todo), (n + 1) / len(todo)))
         _, fault = attempt(task, (data.path, todo[n], result, recipe, None))
         n += 1
         yield todo[n - 1], fault
@@ -238,7 +238,3 @@ def _outcomes(
     with closing(crew.each(reconstruct_field, items)) as outcomes:
         for done in outcomes:
             yield todo[n + done.index], done.fault
-
-
-def _part(tell: Progress, begin: float, length: float, share: float) -> None:
-    tell(begin + length * share)

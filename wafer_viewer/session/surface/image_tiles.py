@@ -15,7 +15,7 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import Corner, GridOrder, ImageOptions, Mirror
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress, ShouldStop, never, silent, with_progress
+from wafer_viewer.model.progress import Progress, ShouldStop, never, part_of, silent, with_progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
@@ -81,16 +81,8 @@ def stitch_images(
         Returns True if the work should stop.
     channel, time, only : str, optional
         Choices where the files have several; see `open_stack`.
-    columns : int, optional
-        Columns of a grid whose fields have running numbers. Default: one row.
-    order : {"rows", "columns", "snake-rows", "snake-columns"}, default "rows"
-        Along which lines the running numbers go; in a snake every second line runs back.
-    corner : {"top-left", "top-right", "bottom-left", "bottom-right"}, default "top-left"
-        Where they begin.
-    mirror : {"none", "x", "y", "both"}, default "none"
-        Axes whose direction is reversed, where a grid comes out mirrored.
-    places : str or Path, optional
-        Table of the places of the fields; see `import_dataset`.
+    columns, order, corner, mirror, places : optional
+        Numbers of a grid, or a table of the places; see `import_dataset`.
 
     Returns
     -------
@@ -138,12 +130,12 @@ def write_stitched(
         raise DatasetError(f"{out.name} has no ending of a picture: take NAME.ome.tif, with a pyramid, or NAME.tif.")
     source = _tiles(src, options)
     told = with_progress(
-        source.fields, len(source.fields), "Reading the images", _part(progress, 0, READ_SHARE), should_stop
+        source.fields, len(source.fields), "Reading the images", part_of(progress, 0, READ_SHARE), should_stop
     )
     pictures = [plane.read() for field in told for plane in field.slots[0][:1] if plane is not None]
     maps = _flat_maps(pictures, source)
     fields, assumed = _placed(source, maps, overlap_fraction, recipe)
-    registering = _part(progress, READ_SHARE, PLACED_SHARE)
+    registering = part_of(progress, READ_SHARE, PLACED_SHARE)
     made_up = replace(maps[0].provenance, positions_assumed=assumed)
     stitched = stitch([replace(one, provenance=made_up) for one in maps], fields, recipe, registering)
     poses = stitched.poses
@@ -153,10 +145,6 @@ def write_stitched(
         _write_table(table, source, poses)
     progress(1.0)
     return poses
-
-
-def _part(tell: Progress, begin: float, end: float) -> Progress:
-    return lambda share: tell(begin + (end - begin) * share)
 
 
 def _tiles(src: Paths, options: ImageOptions) -> ImportSource:
@@ -222,7 +210,7 @@ def _write_picture(
 ) -> None:
     rows, cols = lattice.shape
     tops = range(0, rows, TILE_PX)
-    told = with_progress(tops, len(tops), "Writing the picture", _part(progress, PLACED_SHARE, 1), should_stop)
+    told = with_progress(tops, len(tops), "Writing the picture", part_of(progress, PLACED_SHARE, 1), should_stop)
 
     def bands() -> Iterator[Image]:
         for top in told:

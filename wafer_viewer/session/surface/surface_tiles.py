@@ -8,7 +8,7 @@ from pathlib import Path
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.progress import Progress, part_of
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.model.surface_format import Reading
@@ -44,7 +44,7 @@ def stitch_files(
         Field(number=n, row=0, col=n - 1, x_um=x_um, y_um=y_um, z_start_um=0.0)
         for n, (x_um, y_um) in enumerate(centres, 1)
     ]
-    return stitch(heights, fields, recipe, lambda share: progress(READ_SHARE + (1 - READ_SHARE) * share))
+    return stitch(heights, fields, recipe, part_of(progress, READ_SHARE, 1))
 
 
 def _centres(paths: Sequence[Path], heights: Sequence[HeightMap], options: ImageOptions, overlap: float) -> Centres:
