@@ -29,9 +29,14 @@ CORNERS = ("--corners", -2566, -371, 2570, -366)
 
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory):
-    """The scan of the example job, and what it said."""
+    """The scan of the example job, and what it said.
+
+    The noise of its frames is the same each time: by chance the faces of a scan look tilted, and U is larger.
+    """
     path = tmp_path_factory.mktemp("operator") / "w7.wafer"
-    return path, viewer("scan", JOB, "-o", path, "--wafer", "W07", "--lot", "L1", *CORNERS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wafer_viewer.rigs.virtual.rig.secrets.randbits", lambda bits: 7)
+        return path, viewer("scan", JOB, "-o", path, "--wafer", "W07", "--lot", "L1", *CORNERS)
 
 
 def true_height_um(path):
