@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import wafer_viewer as wv
+from tests.support.surfaces import gauge_blocks
+from wafer_viewer.cli.app import main
 
 
 def python(code):
@@ -54,6 +56,108 @@ def test_from_images_to_a_step_height(folder, tmp_path):
     assert why.peak_z_um == pytest.approx(32.0, abs=1.0)
     back = wv.read_npz(wv.export(height, tmp_path / "step.npz"))
     np.testing.assert_array_equal(back.z_um, height.z_um)
+
+
+def step_and_surface():
+    surface = gauge_blocks(1)
+    x0, y0, x1, y1 = surface.bounds_um
+    upper = wv.Region.rectangle(10, y0 + 5, x1 - 5, y1 - 5)
+    lower = wv.Region.rectangle(x0 + 5, y0 + 5, -10, y1 - 5)
+    return surface, wv.step_height(surface, upper, lower, name="blocks")
+
+
+def test_a_result_is_a_number_with_its_uncertainty():
+    _, step = step_and_surface()
+    assert float(step) == float(step.height) == step.height.value_um
+    assert step.u == step.height.u == pytest.approx(step.height.expanded_um / 2)
+    assert step.u == pytest.approx(np.sqrt(sum(line.u_um**2 for line in step.height.budget)))
+    uncertain, certain = wv.Quantity(value=1.5, unit="mrad"), wv.Length(value_um=30.0371, expanded_um=0.118)
+    assert (uncertain.u, str(uncertain), str(certain)) == (None, "1.500 mrad", "30.04 ± 0.12 um")
+
+
+def test_a_result_is_a_dictionary_and_a_table():
+    _, step = step_and_surface()
+    data = step.to_dict()
+    assert (data["name"], data["upper"]["kind"]) == ("blocks", "rectangle")
+    assert {"value": float(step), "unit": "um", "u": step.u, "k": 2.0}.items() <= data["height"].items()
+    assert sum(u**2 for u in data["height"]["budget"].values()) == pytest.approx(step.u**2)
+    table = step.to_frame()
+    assert list(table.index) == ["height", "at_joint", "tilt"]
+    assert table.loc["height", "u"] == step.u
+    assert table.loc["tilt", "unit"] == "mrad"
+
+
+def test_a_table_without_pandas_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(wv.WaferViewerError, match="pip install pandas"):
+        step_and_surface()[1].to_frame()
+
+
+def test_results_and_surfaces_are_shown_in_three_lines():
+    surface, step = step_and_surface()
+    first, second, third = repr(step).splitlines()
+    assert first.startswith(f"StepHeight: height {step.height} (k = 2)")
+    assert "tilt" in second
+    assert third.strip() == "blocks; unsmoothed heights; 3 notes"
+    first, second, third = repr(surface).splitlines()
+    assert first == "HeightMap: 240 x 640 pixels of 0.5 um"
+    assert "x -159.8 to 159.8 um, y -59.8 to 59.8 um" in second
+    assert third == "  100.0 % measured"
+
+
+def test_numpy_takes_a_surface_for_its_heights(folder):
+    stack = wv.open_stack(folder, z_step_um=4.0, pixel_um=0.5)
+    height = wv.reconstruct(stack, wv.Recipe(window=9))
+    assert np.shares_memory(np.asarray(height), height.z_raw_um)
+    assert np.asarray(height, np.float64).dtype == np.float64
+    assert not np.shares_memory(np.array(height), height.z_raw_um)
+    datum = wv.levelled(height, wv.Levelling(by="plane"))
+    fields = [wv.Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)]
+    for surface in (datum, wv.stitch([height], fields), wv.compare(height, height)):
+        np.testing.assert_array_equal(np.asarray(surface), surface.window().to_measure())
+
+
+def test_a_surface_is_read_from_a_dataset_and_a_file_alike(folder, tmp_path):
+    stack = wv.open_stack(folder, z_step_um=4.0, pixel_um=0.5)
+    height = wv.reconstruct(stack, wv.Recipe(window=9))
+    assert main(["import", str(wv.export(height, tmp_path / "s.x3p")), "-o", str(tmp_path / "s.wafer")]) == 0
+    read = wv.read_surface(tmp_path / "s.wafer")
+    np.testing.assert_allclose(read.z_um, wv.read_surface(tmp_path / "s.x3p").z_um, atol=1e-4)
+    with pytest.raises(wv.WaferViewerError, match="states its own units: leave"):
+        wv.read_surface(tmp_path / "s.wafer", pixel_um=0.5)
+    with pytest.raises(wv.WaferViewerError, match="does not exist"):
+        wv.read_surface(tmp_path / "none.wafer")
+
+
+WORDS = {
+    "area_volume": "reference",
+    "chipping": "die",
+    "circle_size": "inside",
+    "compare": "align",
+    "coplanarity": "reference",
+    "die_size": "die",
+    "find_dies": "evidence",
+    "fitted_dies": "evidence",
+    "gauge_rr": "method",
+    "kerf_width": "kerf",
+    "step_height": "definition",
+    "step_profile": "shape",
+    "study_rr": "method",
+}
+
+
+@pytest.mark.parametrize(("function", "argument"), WORDS.items())
+def test_a_wrong_word_is_named_with_those_that_may_be_given(function, argument):
+    called = getattr(wv, function)
+    required = [p for p in inspect.signature(called).parameters.values() if p.default is p.empty]
+    with pytest.raises(wv.WaferViewerError, match=f"^{argument} is 'soup': it must be one of '"):
+        called(*[None] * len(required), **{argument: "soup"})
+
+
+def test_a_wrong_layer_is_named_with_the_layers():
+    surface, _ = step_and_surface()
+    with pytest.raises(wv.WaferViewerError, match="^layer is 'soup': it must be one of 'unsmoothed', 'smoothed'"):
+        wv.point_height(surface, wv.Region.point(0, 0), layer="soup")
 
 
 def test_two_fields_become_one_surface(folder):

@@ -105,8 +105,8 @@ from .store.dataset.dataset import Dataset as Dataset
 from .store.dataset.file_contents import file_contents as file_contents
 from .store.dataset.stack_import import import_dataset as import_dataset
 from .store.dataset.stack_import import open_stack as open_stack
+from .store.dataset.surfaces import read_surface as read_surface
 from .store.formats.conversion import export as export
-from .store.formats.conversion import read_surface as read_surface
 from .store.formats.conversion import write_surface as write_surface
 from .store.formats.npz_file import read_npz as read_npz
 from .store.records.calibration_records import calibration_records as calibration_records

@@ -90,6 +90,19 @@ def test_every_command_explains_itself_without_frames():
     assert viewer("--version").stdout.startswith("wafer-viewer ")
 
 
+def test_a_group_alone_lists_its_commands_with_their_answers_by_family():
+    printed = viewer("measure")
+    assert (printed.returncode, printed.stderr) == (0, "")
+    assert printed.stdout == viewer("measure", "--help").stdout
+    families = dict(block.split("\n", 1) for block in printed.stdout.split("\n\n")[1:-1])
+    assert "measure step          the height of one region over another" in families["Sections and steps"]
+    assert "measure texture" in families["Faces"]
+    assert "measure defects" in families["Dies, gauge blocks and verdicts"]
+    every = [command for command in commands() if command.startswith("measure ")]
+    assert all(printed.stdout.count(f"  {command} ") == 1 for command in every)
+    assert "calibrate delay" in viewer("calibrate").stdout
+
+
 def test_a_plan_is_priced_as_a_table_and_as_json(plan):
     table = viewer("plan", plan)
     assert table.returncode == 0, table.stderr
@@ -326,7 +339,10 @@ def test_the_doctor_checks_the_devices_of_a_rig_and_moves_on_request_only(tmp_pa
 
 BAD_FLAGS = {
     "no such command": (("fly",), "There is no command 'fly'"),
-    "half a command": (("measure",), "measure point, measure distance"),
+    "half of a misspelt command": (("measure", "setp", "x"), "did you mean 'measure step'?"),
+    "a misspelt command": (("serv", "--port", 8000), "did you mean 'serve'?"),
+    "a misspelt group": (("measur", "step"), "did you mean 'measure'?"),
+    "nothing like a command": (("measure", "soup"), "'wafer-viewer measure help' lists them"),
     "an unknown flag": (("plan", "p.toml", "--colour", "red"), "--colour red"),
     "a missing argument": (("plan",), "Missing: "),
     "a missing flag": (("reconstruct", "x"), "--out"),

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.errors import ComputeError, PlanError
+from wafer_viewer.model.errors import ComputeError, MeasureError, PlanError
 from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Feature
@@ -123,3 +123,10 @@ def test_a_sample_of_an_older_file_has_no_size_where_it_says_zero():
     given = Sample(width_um=12500, height_um=8000)
     assert given.size_um == (12500, 8000)
     assert decode(encode(given), Sample, "newer.toml") == given
+
+
+def test_a_wrong_word_in_a_file_is_named_with_those_that_may_stand_there():
+    with pytest.raises(ComputeError, match="'soup' at '.levy.mode': it must be one of 'none', 'literal', "):
+        decode('[levy]\nmode = "soup"', Recipe, "recipe.toml")
+    with pytest.raises(MeasureError, match="'soup' at '.items.0..levelling.by': it must be one of 'stage', "):
+        decode('{"items": [{"type": "flatness", "levelling": {"by": "soup"}}]}', MeasurementResults, "f.json", "json")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import importlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from wafer_viewer.model.errors import PlanError, WaferViewerError
@@ -122,6 +123,10 @@ def run(argv: list[str]) -> int | None:
 
         print(f"{PROGRAM} {__version__}")
         return None
+    group = [name for name in commands() if name.startswith(f"{argv[0]} ")]
+    if group and argv[1:] in ([], ["-h"], ["--help"], ["help"]):
+        print(_group_overview(argv[0], group))
+        return None
     name, rest = _command(argv)
     return _call(name, rest)
 
@@ -133,12 +138,16 @@ def _command(argv: list[str]) -> tuple[str, list[str]]:
     for words in (2, 1):
         if (name := " ".join(argv[:words])) in commands():
             return name, argv[words:]
-    group = [name for name in commands() if name.startswith(f"{argv[0]} ")]
     if argv[0] == "measure":
         _refuse_two_sided(argv[1:2])
-    if group:
-        raise PlanError(f"'{argv[0]}' needs a subcommand: {', '.join(group)}.")
-    raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(commands())}.")
+    first, *others = argv[:2]
+    known = dict.fromkeys(name.split()[0] for name in commands())
+    within = [name.removeprefix(f"{first} ") for name in commands() if name.startswith(f"{first} ")]
+    group = f"{first} " if within and others else ""
+    asked = others[0] if group else first
+    near = difflib.get_close_matches(asked, within if group else known, n=1)
+    mend = f"did you mean '{group}{near[0]}'?" if near else f"'{PROGRAM} {group or '--'}help' lists them."
+    raise PlanError(f"There is no command '{group}{asked}': {mend}")
 
 
 def _refuse_two_sided(terms: list[str]) -> None:
@@ -186,9 +195,29 @@ def _function(name: str) -> Callable[..., int | None]:
     return module.tool_command(TOOLS[named.removeprefix("measure_")])
 
 
-def _overview() -> str:
+def _group_overview(first: str, names: list[str]) -> str:
+    """Return the commands of a group with what each answers; measuring tools by family."""
+    from wafer_viewer.model.measurement.tools import TOOLS
+
+    families: dict[str, list[str]] = {}
+    for name in names:
+        tool = TOOLS.get(name.removeprefix("measure ").replace("-", "_"))
+        family = tool.group if first == "measure" and tool is not None else ""
+        families.setdefault(family or (_NOT_ONE_SURFACE if first == "measure" else ""), []).append(name)
+    blocks = ["\n".join(filter(None, (family, *_summaries(members)))) for family, members in families.items()]
+    return "\n\n".join((f"usage: {PROGRAM} {first} COMMAND [OPTIONS]", *blocks, f"Flags: {PROGRAM} {names[0]} --help"))
+
+
+_NOT_ONE_SURFACE = "Dies, gauge blocks and verdicts"
+
+
+def _summaries(names: Iterable[str]) -> list[str]:
     width = max(map(len, commands()))
-    lines = [f"  {name:<{width}}  {command.summary}" for name, command in commands().items()]
+    return [f"  {name:<{width}}  {commands()[name].summary}" for name in names]
+
+
+def _overview() -> str:
+    lines = _summaries(commands())
     return "\n".join(
         [
             f"usage: {PROGRAM} [COMMAND] [OPTIONS]",

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from wafer_viewer.model.quantity import digits_of_u
+
 MINUS = "\u2212"
 THIN = "\u202f"
 """Narrow no-break space: between thousands, and between a value and its unit."""
@@ -26,15 +28,6 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
 def with_unit(value: float | None, digits: int = 2, unit: str = "µm", *, signed: bool = False) -> str:
     """Format a number with its unit, joined by a no-break space."""
     return f"{number(value, digits, signed=signed)}{THIN}{unit}"
-
-
-def digits_of_u(expanded: float) -> int:
-    """Return the decimals for an uncertainty with two significant digits: 0.31 -> 2, 4.2 -> 1, 17 -> 0."""
-    if not math.isfinite(expanded) or expanded <= 0:
-        return 2
-    digits = 1 - math.floor(math.log10(expanded))
-    rounded_up = round(expanded, digits) >= 10 ** (2 - digits)
-    return max(0, digits - 1 if rounded_up else digits)
 
 
 def value_and_u(value: float, expanded: float | None, digits: int = 2, *, signed: bool = False) -> tuple[str, str]:

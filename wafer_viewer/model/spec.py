@@ -73,6 +73,12 @@ class Spec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         raise self.error(f"{type(self).__name__}.{name} is {value}: it must be {limit}.")
 
 
+def require_choice(name: str, value: object, choices: Any, error: type[WaferViewerError]) -> None:
+    """Raise an error that names the argument and what may be given, unless the value is one of a Literal's choices."""
+    if (wrong := _type_check(choices)(value)) is not None:
+        raise error(f"{name} is {_shortened(repr(value))}: it must be {wrong}.")
+
+
 S = TypeVar("S", bound=Spec)
 R = TypeVar("R")
 Form = Literal["toml", "json"]
@@ -92,7 +98,7 @@ def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> 
             return msgspec.json.decode(text, type=kind)
         return msgspec.convert(_parsed_toml(text.decode() if isinstance(text, bytes) else text), kind)
     except (tomllib.TOMLDecodeError, msgspec.DecodeError, UnicodeDecodeError) as fault:
-        raise kind.error(f"{name}: {_plain(str(fault))}.") from fault
+        raise kind.error(f"{name}: {_plain(str(fault))}{_choices_at(kind, str(fault))}.") from fault
     except RecursionError as fault:
         raise kind.error(f"{name}: it has too many levels of brackets: check what it is.") from fault
     except (ValueError, OverflowError) as fault:  # a number of thousands of digits, a date that does not exist
@@ -155,6 +161,31 @@ def _plain(message: str) -> str:
         .rstrip(".")
     )
     return _shortened(" ".join(plain.split()))
+
+
+_WRONG_CHOICE = re.compile(r"Invalid enum value .* - at `\$(?P<path>[^`]*)`")
+
+
+def _choices_at(kind: Any, message: str) -> str:
+    """Return what may stand where a parser found another word, as an addition to its message; else nothing."""
+    found = _WRONG_CHOICE.search(message)
+    if found is None:
+        return ""
+    for key in re.findall(r"\.(\w+)|\[\S*?\]", found["path"]):
+        parts = _parts_of(kind)
+        hints = (typing.get_type_hints(part) for part in parts if isinstance(part, type) and issubclass(part, Spec))
+        kind = next((h[key] for h in hints if key in h), None) if key else next(map(_item_of, parts), None)
+    words = [word for part in _parts_of(kind) if typing.get_origin(part) is Literal for word in typing.get_args(part)]
+    return f": it must be one of {', '.join(map(repr, words))}" if words else ""
+
+
+def _parts_of(hint: Any) -> tuple[Any, ...]:
+    """Return the members of a union, or the type itself."""
+    return typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, types.UnionType) else (hint,)
+
+
+def _item_of(hint: Any) -> Any:
+    return next(iter(typing.get_args(hint)), None)
 
 
 def _shortened(text: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import (
     HasLayers,
     HeightLayer,
@@ -53,6 +54,7 @@ class HeightSamples:
 
 def layer_of(recipe: Recipe, layer: Layer | None) -> Layer:
     """Return the given layer, or by default the one that the recipe measures on."""
+    require_choice("layer", layer, Layer | None, MeasureError)
     return layer or recipe.measure_on
 
 

@@ -18,7 +18,7 @@ from wafer_viewer.measure.dies.periodicity import Periods, periods_of, vertex
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.quantity import Length
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import replace, require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.jit import Float32s
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
@@ -227,6 +227,7 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706: the
     cross-correlation by which dies are registered.
     """
+    require_choice("evidence", evidence, Evidence, MeasureError)
     coarse = read_coarse(surface, evidence)
     found = refined(surface, rough_grid(coarse, periods_of(coarse.layers)), evidence, coarse.pixel_um)
     grid = with_streets(found)

@@ -16,7 +16,7 @@ from wafer_viewer.measure.dies.lattice_evidence import Evidence
 from wafer_viewer.measure.dies.lattice_refinement import Registered, refined
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieOffset
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import replace, require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 
 FARTHEST = 0.25
@@ -76,6 +76,7 @@ def fitted_dies(surface: Mosaic, given: DieGrid, evidence: Evidence = "both") ->
     D. Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Process. 21 (2012) 2706: the
     cross-correlation by which dies are registered.
     """
+    require_choice("evidence", evidence, Evidence, MeasureError)
     cols, rows = touching(given, surface)
     try:
         found = refined(surface, _cells(given), evidence, min(given.pitch_x_um, given.pitch_y_um) / BEGUN_PX)

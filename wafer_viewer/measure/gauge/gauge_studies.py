@@ -26,6 +26,7 @@ from wafer_viewer.model.gauge import (
     Study,
 )
 from wafer_viewer.model.quantity import Contribution, Length
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.numerics.normal_statistics import student
 
 # ------------------------------------------------------------------------------------------------------------ run chart
@@ -274,6 +275,7 @@ def gauge_rr(values: ArrayLike, *, method: Method = "anova", tolerance: float | 
     ----------
     AIAG, Measurement Systems Analysis (MSA), 4th edition, chapter III B.
     """
+    require_choice("method", method, Method, MeasureError)
     x = _checked(values)
     return _METHODS[method](x, tolerance)
 
@@ -307,6 +309,7 @@ def study_rr(study: Study, method: Method = "anova") -> GaugeRR:
     ----------
     AIAG, Measurement Systems Analysis (MSA), 4th edition, chapter III B.
     """
+    require_choice("method", method, Method, MeasureError)
     return gauge_rr(np.array(study.values), method=method, tolerance=study.tolerance)
 
 

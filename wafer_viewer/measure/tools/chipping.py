@@ -35,6 +35,7 @@ from wafer_viewer.model.measurement.measurements import Chip, Chipping, Side
 from wafer_viewer.model.measurement.tool_options import ChippingOptions
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
@@ -156,6 +157,7 @@ def chipping(
     Depths are medians of three neighbouring search lines. The largest depth counts whether or not it belongs to a chip.
     The length of a chip is that over which it is deeper than a quarter of the limit.
     """
+    require_choice("die", die, DieOn, MeasureError)
     require_rectangle(region, "Chipping")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "chipping")

@@ -32,6 +32,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import CircleSize
 from wafer_viewer.model.measurement.tool_options import CircleOptions
 from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 
 # ------------------------------------------------------------------------------------------------------- circular edges
@@ -416,6 +417,7 @@ def circle_size(
     ----------
     .. [1] ISO 12181-1, Roundness - Part 1: Vocabulary and parameters of roundness.
     """
+    require_choice("inside", inside, Inside, MeasureError)
     if circle.kind != "circle":
         raise MeasureError(f"A diameter is measured in a circle, this region is a {circle.kind}: draw a circle.")
     reading = MeasurementContext.of(surface, layer, calibration_valid)

@@ -28,6 +28,7 @@ from wafer_viewer.model.measurement.measurements import Bump, Coplanarity
 from wafer_viewer.model.measurement.tool_options import CoplanarityOptions
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
 
 
@@ -407,6 +408,7 @@ def coplanarity(
     ----------
     .. [1] JEDEC JESD22-B108, Coplanarity Test for Surface-Mount Semiconductor Devices.
     """
+    require_choice("reference", reference, Reference, MeasureError)
     require_area(region, "measured")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, region)
     part = height_window(surface, reading.layer, region, level)

@@ -8,9 +8,11 @@ from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.edges.edge_search import Sign, angle, between_edges, notes, read_strip, require_rectangle
 from wafer_viewer.measure.edges.straight_edges import OPPOSITE, die_edges
+from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import DieSize
 from wafer_viewer.model.measurement.tool_options import DieOptions
 from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 
 Die = Literal["either", "bright", "dark"]
@@ -68,6 +70,7 @@ def die_size(
     Rotation counts from the axes of the image, counter-clockwise. Squareness is the deviation from 90 degrees of the
     angle between the edges.
     """
+    require_choice("die", die, Die, MeasureError)
     require_rectangle(region, "A die size")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "a die size")

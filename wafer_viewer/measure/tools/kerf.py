@@ -29,6 +29,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import KerfWidth
 from wafer_viewer.model.measurement.tool_options import KerfOptions
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
@@ -137,6 +138,7 @@ def kerf_width(
     The width is the distance of the lines at the centre of their points. Narrowest and widest are medians of five
     neighbouring search lines; noise draws them apart.
     """
+    require_choice("kerf", kerf, Kerf, MeasureError)
     require_rectangle(region, "A kerf width")
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     strip, level = read_strip(surface, region, "a kerf width")

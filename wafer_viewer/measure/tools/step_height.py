@@ -49,6 +49,7 @@ from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.model.measurement.tool_options import Conditions, StepDefinition, StepOptions
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.field_poses import HasPoses, Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, ReadThrough
 
@@ -347,6 +348,7 @@ def step_height(
     ----------
     .. [1] JCGM 100:2008, Evaluation of measurement data - Guide to the expression of uncertainty in measurement (GUM).
     """
+    require_choice("definition", definition, StepDefinition, MeasureError)
     uppers, lowers = as_region_tuple(upper, "upper"), as_region_tuple(lower, "lower")
     reading, level = MeasurementContext.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
     above, below = (

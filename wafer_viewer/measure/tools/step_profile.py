@@ -29,6 +29,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, StepProfile
 from wafer_viewer.model.measurement.tool_options import Conditions, GrooveOptions
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 
 
@@ -264,6 +265,7 @@ def step_profile(
     ----------
     .. [1] ISO 5436-1, Surface texture: Profile method; Measurement standards - Part 1: Material measures.
     """
+    require_choice("shape", shape, Shape, MeasureError)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     measured = _some(curve, np.isfinite(curve.z_um))

@@ -26,6 +26,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import AreaVolume
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
 
 BORDER = 0.08
@@ -103,6 +104,7 @@ def area_volume(
     The volume is not corrected for unmeasured pixels. The budget has three quarters of what they would add if they were
     as high as the nearest measured ones, so that the expanded uncertainty covers one and a half of it.
     """
+    require_choice("reference", reference, Reference | None, MeasureError)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "region", "a volume")
     from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")

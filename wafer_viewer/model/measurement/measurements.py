@@ -6,8 +6,9 @@ Every result has one `main` quantity, which represents it in a list.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +26,7 @@ from wafer_viewer.model.measurement.tool_options import (
     StepOptions,
     TextureOptions,
 )
-from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.quantity import COVERAGE_FACTOR, Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec
 
@@ -76,6 +77,42 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
         """Quantity that represents the result in a list."""
         return self.quantities[self.main_field]
 
+    def __float__(self) -> float:
+        return float(self.main)
+
+    def __repr__(self) -> str:
+        main, others = self.main_field, [name for name in self.quantities if name != self.main_field]
+        k = f" (k = {COVERAGE_FACTOR:g})" if self.u is not None else f" ({self.main.status})"
+        about = [f"{len(self.notes)} notes" if self.notes else "", "simulated" if self.simulated else ""]
+        lines = [
+            f"{type(self).__name__}: {self._words(main)}{k}",
+            "; ".join(map(self._words, others[:_MOST_IN_REPR])) + ("; ..." if len(others) > _MOST_IN_REPR else ""),
+            "; ".join(filter(None, (self.name, f"{self.surface} heights", *about))),
+        ]
+        return "\n  ".join(filter(None, lines))
+
+    def _words(self, name: str) -> str:
+        return f"{name.replace('_', ' ')} {self.quantities[name]}"
+
+    @property
+    def u(self) -> float | None:
+        """Standard uncertainty (k = 1) of the main quantity, in its unit; None if it is not evaluated."""
+        return self.main.u
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all fields as plain Python values; quantities with unit, standard and expanded uncertainty and k."""
+        return msgspec.to_builtins(self) | {name: each.to_dict() for name, each in self.quantities.items()}
+
+    def to_frame(self) -> Any:
+        """Return a pandas.DataFrame with a row for each quantity. Raises MeasureError where pandas is missing."""
+        try:
+            import pandas
+        except ImportError as missing:
+            raise MeasureError("Data frames need pandas, which is not installed: pip install pandas.") from missing
+        rows = {name: each.to_dict() | {"name": self.name} for name, each in self.quantities.items()}
+        columns = ["name", "value", "unit", "u", "k", "expanded", "status"]
+        return pandas.DataFrame.from_dict(rows, orient="index")[columns].rename_axis("quantity")
+
     @property
     def inputs(self) -> tuple[Region, ...]:
         """Regions that the tool was given."""
@@ -90,6 +127,10 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
     def drawn(self) -> tuple[Region, ...]:
         """All regions to draw."""
         return (*self.inputs, *self.detected)
+
+
+_MOST_IN_REPR = 6
+"""Quantities beside the main one that the text of a result names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

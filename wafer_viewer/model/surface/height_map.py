@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,8 +129,19 @@ class Provenance(Spec, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
 
+class AsArray:
+    """Base class of surfaces that NumPy takes for their heights: ``numpy.asarray(surface)``."""
+
+    __slots__ = ()
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return the heights that are measured on, um, float32 [row, col], NaN where there is none."""
+        heights = cast(Mosaic, self).window().to_measure()
+        return np.array(heights, dtype, copy=copy)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightMap:
+class HeightMap(AsArray):
     """A surface on a grid, all arrays [row, col]: x = x0_um + col * pixel_um, y = y0_um - row * pixel_um.
 
     z_um: float32, NaN if unmeasured, filtered as the recipe says; z_raw_um: float32, gated, neither smoothed nor
@@ -161,6 +172,18 @@ class HeightMap:
         shapes |= {a.shape for a in (self.overlap_um, self.u_um) if a is not None}
         if len(shapes) != 1:
             raise MeasureError(f"The layers of a height map have the shapes {sorted(shapes)}: they must be one shape.")
+
+    def __repr__(self) -> str:
+        z_um = self.z_raw_um[np.isfinite(self.z_raw_um)]
+        span = f"z {z_um.min():.2f} to {z_um.max():.2f} um" if z_um.size else "no heights"
+        rows, cols = self.shape
+        x_um, y_um = (f"{low:.1f} to {high:.1f}" for low, high in np.reshape(self.bounds_um, (2, 2)).T)
+        simulated = ", simulated" if self.provenance.simulated else ""
+        return (
+            f"{type(self).__name__}: {rows} x {cols} pixels of {self.pixel_um:g} um{simulated}\n"
+            f"  x {x_um} um, y {y_um} um, {span}\n"
+            f"  {100 * self.measured.mean():.1f} % measured"
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -315,7 +338,7 @@ class HasLayers(Protocol):
         ...
 
 
-class ReadThrough:
+class ReadThrough(AsArray):
     """Base class of a mosaic on the grid of another one, with the data read differently."""
 
     surface: Mosaic

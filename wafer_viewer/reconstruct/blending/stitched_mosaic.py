@@ -25,7 +25,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.frame_health import FrameHealth
-from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
+from wafer_viewer.model.surface.height_map import AsArray, HeightMap, Provenance, pixel_window
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.reconstruct.blending.mosaic_layout import MosaicLayout, layout
@@ -72,7 +72,7 @@ _BAND_PX = 2**23
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StitchedMosaic:
+class StitchedMosaic(AsArray):
     """A mosaic that is blended when a window of it is requested; level 1 and up are means of it."""
 
     heights: Sequence[HeightMap]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.comparison import Registration
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Outline, Provenance, pixel_window
+from wafer_viewer.model.surface.height_map import AsArray, HeightMap, Mosaic, Origin, Outline, Provenance, pixel_window
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.grids.resampling import ResampledLayers
@@ -60,7 +60,7 @@ class SampleGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class ResampledMosaic:
+class ResampledMosaic(AsArray):
     """A `Mosaic`: `second` transformed by a registration, on the lattice of `first`.
 
     Heights are transformed by the registration as well. A window needs twice its own memory.

@@ -39,7 +39,6 @@ __all__ = ["caveats", "export", "is_surface_file", "losses", "read_surface", "re
 Reader = Callable[[Path, ReadOptions], HeightMap]
 
 
-@with_suffixes
 def read_surface(
     path: str | Path,
     z_unit: str | None = None,
@@ -50,54 +49,7 @@ def read_surface(
     *,
     table: Table = None,
 ) -> HeightMap:
-    """Read a surface from a file in the format given by its suffix.
-
-    Lengths from other programs are uncalibrated.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to read. Its suffix selects the format: ``{READ}``.
-    z_unit : str, optional
-        Unit of the heights if the file states none (m, cm, mm, um, nm, pm or inch), for points of all three
-        coordinates.
-    pixel_um : float, optional
-        Pixel size in um if the file states none, or the pitch on which scattered points and meshes are gridded.
-    invert_z : bool, default False
-        The values are depths: their sign is inverted.
-    progress : callable, optional
-        Receives the completed fraction, 0 to 1.
-    should_stop : callable, optional
-        Returns True if the work should stop.
-    table : {"points", "matrix"}, optional
-        Meaning of the lines of a text file: points by their x, y and z, or rows of a matrix of heights. Default: found
-        out; refused where it could be either.
-
-    Returns
-    -------
-    HeightMap
-        Heights in um; see `HeightMap`.
-
-    Raises
-    ------
-    DatasetError
-        With one sentence on the file, the cause and the remedy: when the file does not exist, is no surface, is
-        damaged, holds no height, states no unit or no pixel size and none is given, contradicts itself or the given
-        values, or the work is stopped.
-    WaferViewerError
-        When the provenance in an ``.npz`` is invalid.
-
-    Notes
-    -----
-    The files that `export` writes can be read, a mesh (``.stl``, ``.obj``, ``.glb``) as it is seen from above. For an
-    ``.npz``, `z_unit`, `pixel_um` and `invert_z` have no effect. A surface of heights only has confidence 1 and a black
-    all-in-focus image.
-
-    References
-    ----------
-    .. [1] ISO 25178-72, Geometrical product specifications (GPS) - Surface texture: Areal - Part 72: XML file format
-       x3p.
-    """
+    """Read a surface from a file in the format given by its suffix; `wafer_viewer.read_surface` documents it."""
     place = Path(path)
     says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z, table=table)
     options = ReadOptions(place.name, says, progress, should_stop)

@@ -27,6 +27,7 @@ from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import (
     EXTREMES,
+    AsArray,
     HeightLayer,
     HeightMap,
     Heights,
@@ -283,7 +284,7 @@ def _at(first_um: float, pixel_um: float, index: int) -> float:
     return first_um + index * pixel_um
 
 
-class ZarrMosaic:
+class ZarrMosaic(AsArray):
     """Mosaic on disk with lazy windows; cheap to pickle."""
 
     def __init__(self, path: Path, header: MosaicHeader) -> None:
