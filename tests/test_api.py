@@ -156,7 +156,7 @@ def test_a_wrong_word_is_named_with_those_that_may_be_given(function, argument):
 
 def test_a_wrong_layer_is_named_with_the_layers():
     surface, _ = step_and_surface()
-    with pytest.raises(wv.WaferViewerError, match="^layer is 'soup': it must be one of 'unsmoothed', 'smoothed'"):
+    with pytest.raises(wv.WaferViewerError, match=r"^layer is 'soup': it must be one of 'unsmoothed', 'smoothed'"):
         wv.point_height(surface, wv.Region.point(0, 0), layer="soup")
 
 

@@ -32,6 +32,16 @@ BROKEN_WORDS = """() => {
 }"""
 
 
+def test_a_pdf_is_printed_and_the_same_dataset_makes_the_same_bytes(browser: Browser, tmp_path: Path) -> None:
+    judged_dataset(tmp_path / "one.wafer", 12.0, released_job(), wafer="W1")
+    first, second, letter = (tmp_path / name for name in ("a.pdf", "b.pdf", "c.pdf"))
+    for path, words in ((first, ()), (second, ()), (letter, ("--paper", "letter"))):
+        assert main(["report", str(tmp_path / "one.wafer"), "-o", str(path), *words]) == 0
+    assert first.read_bytes() == second.read_bytes()
+    assert b"/MediaBox [0 0 594.95996 841.91998]" in first.read_bytes()
+    assert b"/MediaBox [0 0 612 792]" in letter.read_bytes()
+
+
 def test_words_of_tables_are_printed_whole(browser: Browser, tmp_path: Path) -> None:
     judged_dataset(tmp_path / "one.wafer", 12.0, released_job(), wafer="W1")
     dataset, report = str(tmp_path / "one.wafer"), tmp_path / "report.html"

@@ -126,7 +126,7 @@ def test_a_sample_of_an_older_file_has_no_size_where_it_says_zero():
 
 
 def test_a_wrong_word_in_a_file_is_named_with_those_that_may_stand_there():
-    with pytest.raises(ComputeError, match="'soup' at '.levy.mode': it must be one of 'none', 'literal', "):
+    with pytest.raises(ComputeError, match=r"'soup' at '.levy.mode': it must be one of 'none', 'literal', "):
         decode('[levy]\nmode = "soup"', Recipe, "recipe.toml")
-    with pytest.raises(MeasureError, match="'soup' at '.items.0..levelling.by': it must be one of 'stage', "):
+    with pytest.raises(MeasureError, match=r"'soup' at '.items.0..levelling.by': it must be one of 'stage', "):
         decode('{"items": [{"type": "flatness", "levelling": {"by": "soup"}}]}', MeasurementResults, "f.json", "json")

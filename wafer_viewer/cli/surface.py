@@ -25,7 +25,7 @@ from wafer_viewer.cli.arguments import (
 from wafer_viewer.cli.output import audit, print_json, print_surface, progress, warn
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import with_suffixes
-from wafer_viewer.model.report import PARTS, Part, ReportOrder
+from wafer_viewer.model.report import PARTS, Paper, Part, ReportOrder
 from wafer_viewer.model.surface.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
@@ -263,21 +263,28 @@ def report(
     dataset: DatasetFolder,
     out: Out,
     title: str = "",
+    number: str = "",
+    customer: str = "",
+    paper: Paper = "A4",
     parts: tuple[Part, ...] = PARTS,
     result: str = "default",
 ) -> None:
-    """Write the report of a dataset as one HTML file that prints well. The same dataset makes the same bytes.
+    """Write the report of a dataset as one HTML file, or as PDF. The same dataset makes the same bytes.
 
     Args:
         dataset: The dataset.
-        out: The file, FILE.html.
+        out: The file, FILE.html or FILE.pdf; a PDF is printed by the Chromium, Chrome or Edge of this machine.
         title: What stands over it; the dataset's name without one.
+        number: Number of the report, on every page; the dataset's name and the day of the scan without one.
+        customer: For whom it is made.
+        paper: Size of the paper.
         parts: Contents, in this order; all by default.
         result: Name of the reconstruction.
     """
     from wafer_viewer.session.reporting.report import make_report
 
-    print(make_report(dataset, result, ReportOrder(title=title, parts=parts), out))
+    order = ReportOrder(title=title, number=number, customer=customer, paper=paper, parts=parts)
+    print(make_report(dataset, result, order, out))
 
 
 First = Annotated[Positional[Path], arg(metavar="FIRST")]

@@ -11,36 +11,38 @@ from wafer_viewer.model.spec import Spec
 
 Part = Literal[
     "verdict",
+    "signatures",
+    "warnings",
+    "surface",
+    "features",
     "results",
     "defects",
     "profiles",
     "gauge",
     "pictures",
-    "surface",
     "plan",
     "recipe",
     "calibration",
-    "warnings",
     "audit",
     "checksums",
-    "signatures",
 ]
 PARTS: tuple[Part, ...] = get_args(Part)
 PART_TITLES: dict[Part, str] = {
     "verdict": "Verdict",
+    "signatures": "Signatures",
+    "warnings": "Warnings",
+    "surface": "Surface, and where it was measured",
+    "features": "Features",
     "results": "Results",
     "defects": "Defects",
     "profiles": "Profiles",
     "gauge": "Gauge checks",
     "pictures": "Pictures",
-    "surface": "Surface",
     "plan": "Plan",
     "recipe": "Recipe",
-    "calibration": "Calibration",
-    "warnings": "Warnings",
+    "calibration": "Traceability",
     "audit": "Audit log",
     "checksums": "Checksums",
-    "signatures": "Signatures",
 }
 
 
@@ -56,21 +58,47 @@ Contents = dict[Part, Holds]
 Pairs = tuple[tuple[str, str], ...]
 
 
+Paper = Literal["A4", "letter"]
+
+
 class ReportOrder(Spec, frozen=True, kw_only=True):
-    """Selection of a report's parts; without a title the dataset's name is used."""
+    """Selection of a report's parts, its number, the customer and the size of its paper.
+
+    Without a title the dataset's name is used, without a number that name with the day of the scan.
+    """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     title: str = ""
+    number: str = ""
+    customer: str = ""
+    paper: Paper = "A4"
     parts: tuple[Part, ...] = PARTS
+
+
+class Laboratory(Spec, frozen=True, kw_only=True):
+    """The laboratory that reports: the file ``laboratory.toml`` of a data folder.
+
+    accreditation: such as a body and its number; logo: name of a PNG or JPEG file in the data folder.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    name: str
+    address: str = ""
+    accreditation: str = ""
+    logo: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Header and rows of plain text; `right` has an 'n' for a column of numbers, a 'w' for one without word breaks."""
+    """Header and rows of plain text; `right` has an 'n' for a column of numbers, a 'w' for one without word breaks.
+
+    drawn: generated SVG drawings, one for each row, in a last column that has a head only.
+    """
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     right: str = ""
+    drawn: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +115,7 @@ class Figure:
 class Sheet:
     """One result in full: main value, region it was measured on, further values, budget.
 
-    missing: contributions not in its uncertainty.
+    missing: contributions not in its uncertainty. svg: generated drawing of its profile.
     """
 
     number: str
@@ -95,6 +123,7 @@ class Sheet:
     below: str
     value: str
     picture: str = ""
+    svg: str = ""
     pairs: Pairs = ()
     budget: Table | None = None
     missing: tuple[str, ...] = ()
@@ -126,11 +155,24 @@ class ReportSection:
 
 
 @dataclass(frozen=True, slots=True)
+class Letterhead:
+    """Head of a laboratory: its name, further lines and its logo as a data URL."""
+
+    name: str
+    lines: tuple[str, ...] = ()
+    logo: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
-    """A complete report, as text and pictures."""
+    """A complete report, as text and pictures; number: repeated on every page; scope: what it holds for."""
 
     title: str
     below: str
     simulated: bool
     facts: Pairs
     sections: tuple[ReportSection, ...]
+    number: str = ""
+    scope: str = ""
+    letterhead: Letterhead | None = None
+    paper: Paper = "A4"

@@ -16,7 +16,7 @@ from tests.support.surfaces import height_map
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.findings import MeasurementResults
 from wafer_viewer.model.job import FeatureVerdict, Judgement, Notebook, WaferVerdict
 from wafer_viewer.model.measurement.feature import Feature
@@ -127,9 +127,72 @@ def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
     assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")
     assert (reported.word, reported.beside) == ("inconclusive", "Coupon B · Calibrate.")
-    assert reported.sentences == ("die: No uncertainty.",)
-    assert ("Verdict", "INCONCLUSIVE, Coupon B") in report._facts(material)
+    assert reported.sentences[0] == "0 of 1 features conform to the limits given."
+    assert reported.sentences[1].endswith("U (k = 2, about 95 %) is taken off every limit (ISO 14253-1).")
+    assert reported.sentences[2:] == ("die: No uncertainty.",)
+    assert "<svg" in reported.table.drawn[0]
+    assert ("Verdict", "INCONCLUSIVE, Coupon B") in report._facts(material, ReportOrder())
     assert gather(dataset, RESULT).verdict is None
+
+
+def test_each_decision_rule_names_its_features():
+    (item,) = a_verdict().items
+    simple = replace(item, feature=replace(item.feature, decision_rule="simple_acceptance"), word="pass")
+    counted, guarded, accepted = sections.conformity(replace(a_verdict(), items=(item, simple)))
+    assert counted == "1 of 2 features conform to the limits given."
+    assert guarded.startswith("Decision rule of F1: the expanded uncertainty U")
+    assert accepted == "Decision rule of F2: a value within its limits conforms, whatever its U (simple acceptance)."
+
+
+def test_a_report_has_its_number_customer_laboratory_and_scope(dataset):
+    lab = dataset.parent / "laboratory.toml"
+    lab.write_text('name = "Lab <1>"\naddress = "1 Street"\naccreditation = "D-K-1"\nlogo = "logo.png"\n')
+    Image.new("RGBA", (60, 20), (10, 90, 120, 0)).save(dataset.parent / "logo.png")
+    try:
+        report = report_of(dataset, RESULT, ReportOrder(parts=("plan",), number='7"; } body { x', customer="A Fab"))
+        lab.write_text('nam = "x"')
+        with pytest.raises(DatasetError, match=r"laboratory.toml: unknown key 'nam'"):
+            report_of(dataset, RESULT, ReportOrder(parts=("plan",)))
+    finally:
+        lab.unlink()
+    assert dict(report.facts)["Customer"] == "A Fab"
+    assert dict(report.facts)["Method"].startswith("shape from focus (Log-Laplacian)")
+    assert (report.letterhead.name, report.letterhead.lines) == ("Lab <1>", ("1 Street", "D-K-1"))
+    assert report.letterhead.logo.startswith("data:image/jpeg")
+    text = report_html(report)
+    assert "The results relate only to the sample and the places named in this report." in text
+    assert "Lab &lt;1&gt;" in text
+    style = text[text.index("<style>") : text.index("</style>")]
+    assert '"; } body { x' not in style
+    unnamed = report_of(dataset, RESULT, ReportOrder(parts=("plan",)))
+    assert (unnamed.number, unnamed.letterhead) == ("die & street-20260301", None)
+
+
+def test_every_page_names_the_content_by_its_checksum(dataset):
+    one, other = (
+        re.search('Content ([0-9a-f]{4}(?: [0-9a-f]{4}){3})"', report_html(report_of(dataset, RESULT, order)))[1]
+        for order in (ReportOrder(parts=("plan",)), ReportOrder(parts=("plan",), customer="A Fab"))
+    )
+    assert one != other
+
+
+def test_all_that_restricts_the_numbers_is_among_the_warnings(dataset):
+    material = gather(dataset, RESULT)
+    doubtful = dataclasses.replace(material, audit_fault="The audit log cannot be relied on: it was altered.")
+    sentences = report._warnings(doubtful).sentences
+    assert sentences[0] == "The frames are simulated: nothing was measured on a real sample."
+    assert "The audit log cannot be relied on: it was altered." in sentences
+    missing = next(text for text in sentences if "of the surface is not measured" in text)
+    assert missing.startswith("2.1\u202f% of the surface is not measured: 2.1\u202f% no texture")
+
+
+def test_a_report_is_a_page_or_a_pdf_by_its_ending(dataset, tmp_path, monkeypatch):
+    with pytest.raises(DatasetError, match=r"r.docx is no name of a report: give NAME.html or NAME.pdf"):
+        make_report(dataset, RESULT, ReportOrder(), tmp_path / "r.docx")
+    monkeypatch.setattr("wafer_viewer.store.records.printed_report.BROWSERS", ("no-such-browser",))
+    with pytest.raises(DatasetError, match=r"none is found: install one, or write r.html and print that"):
+        make_report(dataset, RESULT, ReportOrder(), tmp_path / "r.pdf")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_simulated_stands_only_where_it_is_true(dataset):
@@ -142,7 +205,7 @@ def test_simulated_stands_only_where_it_is_true(dataset):
 def test_only_what_was_ordered_goes_in_and_in_that_order(dataset):
     report = report_of(dataset, RESULT, ReportOrder(title="Lot 7", parts=("calibration", "results")))
     assert report.title == "Lot 7"
-    assert [section.title for section in report.sections] == ["Calibration", "Results"]
+    assert [section.title for section in report.sections] == ["Traceability", "Results"]
 
 
 def test_whether_lengths_are_calibrated_is_asked_of_the_day_of_the_scan(dataset):
@@ -175,7 +238,7 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
     monkeypatch.setattr(report, "gather", lambda *_: material)
     message = contents(dataset, RESULT)
     assert {part for part, holds in message.items() if holds.nothing} == {
-        *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface", "audit")
+        *("verdict", "features", "results", "defects", "profiles", "gauge", "pictures", "surface", "audit")
     }
     assert (message["results"].words, message["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))

@@ -72,7 +72,7 @@ def test_every_result_has_a_sheet_with_all_its_numbers_and_its_budget(report):
     assert [sheet.title for sheet in sheets] == [f"{tool} {n}" for n, (tool, _) in enumerate(KINDS, 1)]
     step, _, flat, texture, *_ = sheets
     assert step.budget.heads == ("Contribution", "u, µm", "of u²")
-    assert sum(float(row[2].split()[0]) for row in step.budget.rows[:-1] if "<" not in row[2]) == pytest.approx(
+    assert sum(float(row[2].split()[0]) for row in step.budget.rows[:-2] if "<" not in row[2]) == pytest.approx(
         100, abs=1
     )
     assert dict(flat.pairs)["FLTq"].startswith("0.0")
@@ -102,11 +102,24 @@ def test_the_verdict_shows_every_die_with_its_word(report):
     assert reported.word == "pass"
     assert [row[1] for row in reported.table.rows] == ["die over street, die 0,0", "die over street, die 0,<1>"]
     assert reported.figures[0].caption.startswith("2 dies: 2 pass.")
-    assert [(sheet.number, sheet.below) for sheet in reported.sheets] == [("F1", "Step height")]
-    assert reported.sheets[0].budget.rows[0][0] == "z scale"
-    assert "temperature" in reported.sheets[0].missing
+    (sheet,) = section(report, "Features").sheets
+    assert (sheet.number, sheet.below) == ("F1", "Step height")
+    assert sheet.picture.startswith("data:image/jpeg")
+    assert sheet.budget.rows[0][0] == "z scale"
+    assert [row[0] for row in sheet.budget.rows[-2:]] == ["combined, k = 1", "expanded, k = 2"]
+    assert "temperature" in sheet.missing
+    assert any(
+        text.startswith("Not evaluated in U of features F1, F2: ") for text in section(report, "Warnings").sentences
+    )
     assert reported.figures[0].svg.count("<g ") == 2
     assert "<1>" not in reported.figures[0].svg
+
+
+def test_places_of_features_and_results_are_numbered_on_the_map(report):
+    (figure,) = section(report, PART_TITLES["surface"]).figures
+    assert {"F1", "F2", "1", "2"} <= set(re.findall(r'font-weight="650" fill="#FFFFFF">(\w+)<', figure.svg))
+    assert "Height, µm" in figure.svg
+    assert "x, y in µm" in figure.svg
 
 
 def test_a_profile_is_drawn_as_a_curve_with_axes(report):

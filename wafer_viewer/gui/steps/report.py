@@ -25,6 +25,8 @@ from wafer_viewer.session.state.snapshot import Snapshot
 CONTENTS, WRITING = "contents of a report", "report"
 UNKNOWN = Holds("…")
 TITLE_HINT = "Heading of the report; without one the dataset's name"
+NUMBER_HINT = "Number on every page; without one the dataset's name and the day of the scan"
+CUSTOMER_HINT = "For whom the report is made; the laboratory's own head is laboratory.toml in the data folder"
 FAILED = "The report was not written"
 _NONE_SELECTED = Markup('<div class="wv-why">Not yet: no section is selected.</div>')
 
@@ -38,6 +40,8 @@ class ReportChoices:
     """
 
     title: str = ""
+    number: str = ""
+    customer: str = ""
     left_out: frozenset[Part] = frozenset()
     written: tuple[Path, Path] | None = None
 
@@ -53,9 +57,11 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
     idle = bool(chosen) and not here.ask.busy(WRITING)
     floppy, sheet = viser.Icon.DEVICE_FLOPPY, viser.Icon.FILE_TEXT
     return [
-        Html(html.title("Report", "A self-contained HTML file that prints on A4.")),
+        Html(html.title("Report", "A self-contained HTML file that prints on A4; NAME.pdf prints it at once.")),
         Html(here.page.notes(here.snapshot)),
         Text("Title", here.own.title, lambda title: here.keep(title=title), TITLE_HINT),
+        Text("Number", here.own.number, lambda number: here.keep(number=number), NUMBER_HINT),
+        Text("Customer", here.own.customer, lambda customer: here.keep(customer=customer), CUSTOMER_HINT),
         Html(html.head("Contents")),
         *(element for part in PARTS for element in _section(here, part, contents.get(part, UNKNOWN), part in chosen)),
         Buttons([Button("Save report as…", lambda: ask_where(here), floppy, disabled=not idle, failed=FAILED)], 34),
@@ -136,7 +142,8 @@ def _begin(here: Here[ReportChoices], path: Path | None) -> Future[Path]:
         if data is not None and not done.cancelled() and done.exception() is None:
             here.keep(written=(data.path, done.result()))
 
-    order = ReportOrder(title=here.own.title, parts=chosen_parts(here))
+    own = here.own
+    order = ReportOrder(title=own.title, number=own.number, customer=own.customer, parts=chosen_parts(here))
     writing = here.ask.begin(WRITING, here.page.session.papers.write_report(order, path))
     writing.add_done_callback(take)
     return writing

@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from wafer_viewer._version import __version__
+from wafer_viewer.draw.charts.marked_map import MapKey, marked_map_svg
 from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.job import keys_of_features, keys_under_review
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -18,28 +20,49 @@ from wafer_viewer.model.report import (
     Contents,
     Figure,
     Holds,
+    Laboratory,
+    Letterhead,
     Part,
     Report,
     ReportOrder,
     ReportSection,
     Table,
 )
+from wafer_viewer.model.spec import decode
 from wafer_viewer.session.reporting.report_data import (
     Material,
     calibration_pairs,
+    day_words,
     gather,
+    marks_of,
+    method_words,
     not_evaluated,
+    outline_um,
     plan_pairs,
     positioner_pairs,
     recipe_pairs,
     surface_pairs,
+    unmeasured_words,
     verdict_text,
 )
-from wafer_viewer.session.reporting.sections import audit, defects, defects_held, gauge, profiles, results, verdict
+from wafer_viewer.session.reporting.sections import (
+    audit,
+    defects,
+    defects_held,
+    features,
+    gauge,
+    logo_picture,
+    profiles,
+    results,
+    verdict,
+)
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
+LABORATORY = "laboratory.toml"
 SIGNED_BY = ("Measured by", "Checked by", "Approved by")
+SCOPE = "The results relate only to the sample and the places named in this report. It may be copied only as a whole."
+"""What a report holds for (ISO/IEC 17025, 7.8.2.1)."""
 
 
 def report_of(
@@ -66,8 +89,12 @@ def report_of(
         title=order.title.strip() or material.dataset.path.stem,
         below=_below(material, order),
         simulated=material.dataset.simulated,
-        facts=_facts(material),
+        facts=_facts(material, order),
         sections=tuple(sections),
+        number=order.number.strip() or f"{material.dataset.path.stem}-{material.day.replace('-', '')}",
+        scope=SCOPE,
+        paper=order.paper,
+        letterhead=letterhead_of(material.dataset.path.parent),
     )
 
 
@@ -75,6 +102,7 @@ def _goes_in(part: Part, material: Material) -> bool:
     """Return whether a part applies to this dataset; parts that do not apply are omitted."""
     held: dict[Part, bool] = {
         "verdict": material.asks_for_a_verdict or material.verdict is not None,
+        "features": bool(material.features),
         "defects": material.inspection is not None,
         "profiles": bool(material.lines),
         "gauge": bool(material.gauge_checks),
@@ -83,6 +111,16 @@ def _goes_in(part: Part, material: Material) -> bool:
         **dict.fromkeys(OF_A_SCAN, bool(material.dataset.fields)),
     }
     return held.get(part, True)
+
+
+def letterhead_of(folder: Path) -> Letterhead | None:
+    """Return the head of the laboratory of a data folder; None without ``laboratory.toml``. Raises DatasetError."""
+    path = folder / LABORATORY
+    if not path.exists():
+        return None
+    lab = decode(path.read_bytes(), Laboratory, path.name)
+    logo = logo_picture(folder / Path(lab.logo).name) if lab.logo else ""
+    return Letterhead(lab.name, tuple(line for line in (lab.address, lab.accreditation) if line), logo)
 
 
 def make_report(
@@ -117,6 +155,7 @@ def contents(folder: Path, result_name: str) -> Contents:
     settled = info is not None and info.settled is not None
     return {
         "verdict": _verdict_held(material),
+        "features": _held(len(material.features), "feature", "the job has no feature with limits"),
         "results": _results_held(material),
         "defects": defects_held(material),
         "profiles": _held(len(material.lines), "profile", "no result lies along a line"),
@@ -170,13 +209,13 @@ def _count(n: int, word: str) -> str:
 
 def _below(material: Material, order: ReportOrder) -> str:
     name = f"{material.dataset.path.stem} · " if order.title.strip() else ""
-    date = material.dataset.scan.taken.replace("T", " ")[:16]
-    return f"{name}taken {date} · result {material.result.name}"
+    return f"{name}taken {day_words(material.dataset.scan.taken)} · result {material.result.name}"
 
 
-def _facts(material: Material) -> tuple[tuple[str, str], ...]:
+def _facts(material: Material, order: ReportOrder) -> tuple[tuple[str, str], ...]:
     scan, sample = material.dataset.scan, material.dataset.scan.job.sample
     named = (
+        ("Customer", order.customer.strip()),
         ("Sample", sample.name),
         ("Lot", sample.lot),
         ("Wafer", sample.wafer_id),
@@ -184,6 +223,7 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
         ("Operator", sample.operator),
         ("Instrument", scan.rig or scan.imported_from),
         ("Objective", scan.setup.objective if scan.imported_from else ""),
+        ("Method", method_words(material)),
         ("Program", f"Wafer Viewer {scan.software_version}"),
         ("Verdict", verdict_text(material.verdict) if material.verdict else ""),
         ("Lengths", "calibrated" if material.uncalibrated is None else f"uncalibrated: {material.uncalibrated}"),
@@ -204,10 +244,17 @@ def _surface(material: Material) -> ReportSection:
     info, title = material.info, PART_TITLES["surface"]
     if info is None:
         return ReportSection(title, empty="The fields are not stitched.")
-    url = whole_picture(material.result.mosaic(), info.low_um, info.high_um)
-    ends = f"{number(info.low_um, 2, signed=True)} to {number(info.high_um, 2, signed=True)}\u202fµm"
-    caption = f"Heights from above, dark to light {ends}, light from the north-west; plain grey: not measured."
-    return ReportSection(title, pairs=surface_pairs(info), figures=(Figure(url, caption),))
+    caption = (
+        "Heights of the stitched surface from above, light from the north-west; plain grey: not measured. "
+        "Numbers: results; F with a number: features of the job."
+    )
+    drawing = marked_map_svg(
+        whole_picture(material.result.mosaic(), info.low_um, info.high_um),
+        outline_um(material.result.mosaic()),
+        marks_of(material),
+        MapKey(info.low_um, info.high_um, DisplayStyle().colours),
+    )
+    return ReportSection(title, pairs=surface_pairs(info), figures=(Figure("", caption, svg=drawing),))
 
 
 def _plan(material: Material) -> ReportSection:
@@ -233,10 +280,15 @@ def _calibration(material: Material) -> ReportSection:
 def _warnings(material: Material) -> ReportSection:
     dataset, info = material.dataset, material.info
     missing = len(dataset.missing())
-    warnings = (
-        [f"{number(missing, 0)} of {number(dataset.scan.plan.n_frames, 0)} frames are missing."] if missing else []
-    )
+    warnings = ["The frames are simulated: nothing was measured on a real sample."] if dataset.simulated else []
+    if material.uncalibrated is not None:
+        warnings.append(f"Lengths are uncalibrated, and have no U: {material.uncalibrated}")
+    if material.audit_fault:
+        warnings.append(material.audit_fault)
+    if missing:
+        warnings.append(f"{number(missing, 0)} of {number(dataset.scan.plan.n_frames, 0)} frames are missing.")
     if info is not None:
+        warnings += [*unmeasured_words(info)]
         warnings += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
     warnings += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
     sentences = tuple(
@@ -247,13 +299,17 @@ def _warnings(material: Material) -> ReportSection:
 
 def _left_out(material: Material) -> Iterator[str]:
     """Yield the contributions not evaluated in U, with the numbers of the results."""
-    numbers_by_missing: dict[tuple[str, ...], list[str]] = {}
-    for finding in material.findings:
-        if missing := not_evaluated(finding):
-            numbers_by_missing.setdefault(tuple(what.rstrip(".") for what in missing), []).append(f"{finding.number}")
-    for missing, numbers in numbers_by_missing.items():
-        results = f"{'result' if len(numbers) == 1 else 'results'} {', '.join(numbers)}"
-        yield f"Not evaluated in U of {results}: {'; '.join(missing)}."
+    named = (
+        *(("result", f"{finding.number}", not_evaluated(finding)) for finding in material.findings),
+        *(("feature", f"F{n}", item.not_evaluated) for n, item in enumerate(material.features, 1)),
+    )
+    numbers_by_missing: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for kind, name, missing in named:
+        if missing:
+            key = kind, tuple(what.rstrip(".") for what in missing)
+            numbers_by_missing.setdefault(key, []).append(name)
+    for (kind, missing), names in numbers_by_missing.items():
+        yield f"Not evaluated in U of {kind}{'' if len(names) == 1 else 's'} {', '.join(names)}: {'; '.join(missing)}."
 
 
 def _checksums(material: Material) -> ReportSection:
@@ -281,6 +337,7 @@ def _signatures(material: Material) -> ReportSection:
 
 _MADE: dict[Part, Callable[[Material], ReportSection]] = {
     "verdict": verdict,
+    "features": features,
     "results": results,
     "defects": defects,
     "profiles": profiles,

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from wafer_viewer.draw.charts.marked_map import Mark
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.draw.quantities import UNIT_SIGNS, explained_quantity, row_text
 from wafer_viewer.model.acquisition.calibration import Calibration
@@ -17,7 +20,7 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job import FeatureVerdict, Job, Judgement, Notebook, WaferVerdict, key_of_result
-from wafer_viewer.model.measurement.feature import limits_text
+from wafer_viewer.model.measurement.feature import limits_text, on_die
 from wafer_viewer.model.measurement.result_rows import rows, spaced, title_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine
@@ -25,7 +28,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.focus_measures import focus_measures
-from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.model.surface.height_map import LAYER_TITLES, Mosaic
 from wafer_viewer.session.planning.job_releases import release_of
 from wafer_viewer.session.planning.verdicts import stored_verdict
 from wafer_viewer.session.state.snapshot import SurfaceInfo
@@ -106,20 +109,18 @@ def regions(finding: AnyResult) -> tuple[Region, ...]:
     return tuple(region for value in held for region in _regions_of(value))
 
 
-def bounds_um(finding: AnyResult) -> tuple[float, float, float, float] | None:
-    """Return the upright rectangle around all regions of a result; None if it has none."""
-    boxes = [region.bounds_um for region in regions(finding)]
-    if not boxes:
-        return None
-    x0, y0, x1, y1 = zip(*boxes, strict=True)
+def bounds_of(places: tuple[Region, ...]) -> tuple[float, float, float, float]:
+    """Return the upright rectangle around regions, at least one."""
+    x0, y0, x1, y1 = zip(*(region.bounds_um for region in places), strict=True)
     return min(x0), min(y0), max(x1), max(y1)
 
 
 def where(finding: AnyResult) -> str:
     """Return the centre of the regions of a result, stage um."""
-    box = bounds_um(finding)
-    if box is None:
+    places = regions(finding)
+    if not places:
         return ""
+    box = bounds_of(places)
     prefix = f"field {finding.show}, " if finding.show > 0 else ""
     return f"{prefix}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
 
@@ -144,6 +145,57 @@ def surface_pairs(info: SurfaceInfo) -> Pairs:
             ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, 3)),
         ]
     return tuple(rows)
+
+
+def unmeasured_words(info: SurfaceInfo) -> Iterator[str]:
+    """Yield how much of the surface is not measured, with the reasons; nothing if all is."""
+    missing = 1.0 - info.measured_fraction
+    if missing > 0:
+        reasons = ", ".join(f"{share(part)} {words}" for words, part in info.unmeasured if part > 0)
+        yield f"{share(missing)} of the surface is not measured{f': {reasons}' if reasons else ''}."
+
+
+def day_words(iso: str) -> str:
+    """Return a date with its time as people write it: ``1 March 2026, 10:00``."""
+    at = datetime.fromisoformat(iso)
+    return f"{at.day} {at:%B %Y, %H:%M}"
+
+
+def method_words(material: Material) -> str:
+    """Return how heights were measured."""
+    scan, settled = material.dataset.scan, material.info.settled if material.info else None
+    if not material.dataset.fields:
+        return f"heights of the file {scan.imported_from}" if scan.imported_from else "heights of a file"
+    measure = focus_measures()[(settled or scan.job.recipe).focus_measure].title
+    return f"shape from focus ({measure}), fields stitched by their overlaps"
+
+
+def outline_um(surface: Mosaic) -> tuple[float, float, float, float]:
+    """Return (x low, y low, x high, y high) of the pixel centres of a surface."""
+    rows, cols = surface.shape
+    x0, y0, pixel_um = surface.x0_um, surface.y0_um, surface.pixel_um
+    return x0, y0 - (rows - 1) * pixel_um, x0 + (cols - 1) * pixel_um, y0
+
+
+def regions_of_feature(job: Job, judged: FeatureVerdict) -> tuple[Region, ...]:
+    """Return where a feature was measured, stage um; empty if it has no place."""
+    from wafer_viewer.measure.verdict import on_stage
+
+    die = next((die for die in job.dies.all() if die.name == judged.die), None) if job.dies and judged.die else None
+    placed = judged.feature.places if die is None else tuple(on_die(place, die) for place in judged.feature.places)
+    return tuple(on_stage(place, job.alignment) for place in placed)
+
+
+MOST_MARKS = 60
+"""Places that are numbered on the map."""
+
+
+def marks_of(material: Material) -> tuple[Mark, ...]:
+    """Return the numbered places of features and of results on the stitched surface, as many as a map can hold."""
+    job = material.dataset.scan.job
+    features = (Mark(f"F{n}", regions_of_feature(job, item)) for n, item in enumerate(material.features, 1))
+    results = (Mark(f"{finding.number}", finding.inputs) for finding in material.findings if finding.show == 0)
+    return tuple(islice((mark for mark in chain(features, results) if mark.regions), MOST_MARKS))
 
 
 def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:

@@ -13,6 +13,7 @@ from PIL import Image
 
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
 from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
+from wafer_viewer.draw.charts.limits_bar import limits_bar_svg
 from wafer_viewer.draw.number_format import digits_of_u, number, share
 from wafer_viewer.draw.quantities import display_unit, explained_quantity
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
@@ -23,23 +24,26 @@ from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect, Inspection, verdict_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
+from wafer_viewer.model.measurement.feature import DecisionRule
 from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.measurement.sections import SectionRequest
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.model.quantity import BudgetLine, Quantity
+from wafer_viewer.model.quantity import COVERAGE_FACTOR, BudgetLine, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Sheet, Table
 from wafer_viewer.model.roles import AuditEntry
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.reporting.report_data import (
     Material,
-    bounds_um,
+    bounds_of,
     budget_of,
     feature_row,
     judgement_text,
     kind_of,
     not_evaluated,
     numbers_of,
+    regions,
+    regions_of_feature,
     result_row,
     where,
 )
@@ -62,16 +66,46 @@ def verdict(material: Material) -> ReportSection:
         )
     keyed = enumerate(zip(keys_of_features(judged), judged.items, strict=True), 1)
     rows = tuple(feature_row(n, item, material.notebook.judgement(key)) for n, (key, item) in keyed)
-    sentences = (f"{item.name}: {item.why}" for item in judged.items if item.word != "pass")
+    sentences = (*conformity(judged), *(f"{item.name}: {item.why}" for item in judged.items if item.word != "pass"))
     return ReportSection(
         title,
         word=judged.word,
         beside=" · ".join(part for part in (judged.job, judged.next) if part),
-        table=Table(FEATURE_HEADS, rows, "n  n"),
+        table=Table(FEATURE_HEADS, rows, "n  n", tuple(map(_between_limits, judged.items))),
         figures=_die_map(material, judged),
         sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in sentences),
-        sheets=tuple(_of_feature(n, item) for n, item in _one_of_each(judged)),
     )
+
+
+def features(material: Material) -> ReportSection:
+    """Return the section with a sheet of each feature: its place, value and budget."""
+    numbered = _one_of_each(material.verdict) if material.verdict is not None else ()
+    return ReportSection(
+        PART_TITLES["features"],
+        sheets=tuple(_of_feature(material, n, item) for n, item in numbered),
+        empty="No verdict was kept on this surface.",
+    )
+
+
+def conformity(judged: WaferVerdict) -> Iterator[str]:
+    """Yield how many features conform, and by which decision rule."""
+    n, passed = len(judged.items), sum(item.word == "pass" for item in judged.items)
+    yield f"{passed} of {n} features conform to the limits given."
+    rules: list[DecisionRule] = [item.feature.decision_rule for item in judged.items]
+    for rule in dict.fromkeys(rules):
+        of_rule = [f"F{k}" for k, each in enumerate(rules, 1) if each == rule]
+        which = "" if len(of_rule) == n else f" of {', '.join(of_rule)}"
+        yield f"Decision rule{which}: {RULES[rule]}"
+
+
+RULES: dict[DecisionRule, str] = {
+    "guard_band": "the expanded uncertainty U (k = 2, about 95 %) is taken off every limit (ISO 14253-1).",
+    "simple_acceptance": "a value within its limits conforms, whatever its U (simple acceptance).",
+}
+
+
+def _between_limits(item: FeatureVerdict) -> str:
+    return limits_bar_svg(item.feature, item.measured, item.word)
 
 
 def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
@@ -82,7 +116,7 @@ def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, FeatureVerdict]]:
         yield min(of_name, key=lambda of: GRAVEST.index(of[1].word))
 
 
-def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
+def _of_feature(material: Material, n: int, item: FeatureVerdict) -> Sheet:
     """Return the uncertainty sheet of a feature."""
     feature, measured = item.feature, item.measured
     tool = TOOLS[feature.tool]
@@ -92,6 +126,7 @@ def _of_feature(n: int, item: FeatureVerdict) -> Sheet:
         title=item.name,
         below=", ".join(part for part in labels if part),
         value=explained_quantity(measured) if measured is not None else "not measured",
+        picture=_picture_of(material, regions_of_feature(material.dataset.scan.job, item)),
         budget=budget_table(measured.budget, measured) if measured else None,
         missing=item.not_evaluated,
     )
@@ -141,8 +176,11 @@ def budget_table(lines: tuple[BudgetLine, ...], quantity: Quantity) -> Table | N
         return None
     ordered = sorted(lines, key=lambda line: -line.u)
     rows = [(line.name, _two_figures(line.u * read.factor), share(line.u**2 / variance)) for line in ordered]
-    total = ("combined, k = 1", _two_figures(variance**0.5 * read.factor), "")
-    return Table(("Contribution", f"u, {read.unit}", "of u²"), (*rows, total), " nn")
+    totals = [
+        (words, _two_figures(k * variance**0.5 * read.factor), "")
+        for words, k in (("combined, k = 1", 1.0), (f"expanded, k = {COVERAGE_FACTOR:g}", COVERAGE_FACTOR))
+    ]
+    return Table(("Contribution", f"u, {read.unit}", "of u²"), (*rows, *totals), " nn")
 
 
 def _two_figures(u: float) -> str:
@@ -151,10 +189,15 @@ def _two_figures(u: float) -> str:
 
 def _place(material: Material, finding: AnyResult) -> str:
     """Return a picture of the region of a result, if it was measured on the stitched surface."""
-    box, info = bounds_um(finding), material.info
-    if box is None or info is None or finding.show != 0:
+    return _picture_of(material, regions(finding)) if finding.show == 0 else ""
+
+
+def _picture_of(material: Material, places: tuple[Region, ...]) -> str:
+    """Return a picture of the surroundings of regions of the stitched surface; empty without them."""
+    info = material.info
+    if not places or info is None:
         return ""
-    return place_picture(material.result.mosaic(), box, info.low_um, info.high_um)
+    return place_picture(material.result.mosaic(), bounds_of(places), info.low_um, info.high_um)
 
 
 def profiles(material: Material) -> ReportSection:
@@ -373,7 +416,7 @@ def _sentences(inspection: Inspection) -> Iterator[str]:
     yield from inspection.notes
 
 
-WHOLE_PX, PLACE_PX, PICTURE_PX = 1400, 320, 1600
+WHOLE_PX, PLACE_PX, PICTURE_PX, LOGO_PX = 1400, 320, 1600, 400
 ROUND_A_PLACE, LEAST_UM = 0.7, 20.0
 """Margin around a region as a fraction of its size, and minimum width of a picture in um."""
 UNMEASURED = (222, 226, 231)
@@ -396,6 +439,14 @@ def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], lo
     except MeasureError:
         return ""
     return _picture(part, low_um, high_um, PLACE_PX)
+
+
+def logo_picture(path: Path) -> str:
+    """Return the logo of a laboratory on white, as a data URL."""
+    with parser_errors_as(partial(_no_picture, path)), Image.open(path) as picture:
+        require_pixels(path.name, picture.height, picture.width)
+        logo = picture.convert("RGBA")
+        return _url(Image.alpha_composite(Image.new("RGBA", logo.size, "white"), logo).convert("RGB"), LOGO_PX)
 
 
 def taken_picture(path: Path) -> str:

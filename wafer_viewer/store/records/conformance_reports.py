@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from markupsafe import Markup
 
 from wafer_viewer.model.acquisition.conformance import ConformanceReport, ReportSignature, SignedConformance
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.report import Report
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import load_json, save_json
+from wafer_viewer.store.records.printed_report import print_pdf
 from wafer_viewer.store.records.signed_log import is_signed, public_key
 
 if TYPE_CHECKING:
@@ -34,13 +36,34 @@ TEMPLATE = "report.html.j2"
 
 
 def report_html(report: Report) -> str:
-    """Return the HTML text; all strings from people or files are escaped."""
-    return _template().render(report=report)
+    """Return the HTML text; all strings from people or files are escaped.
+
+    Every page names the content by the first digits of the SHA-256 of the text without them.
+    """
+    text = _template().render(report=report, content=_CONTENT)
+    digits = hashlib.sha256(text.encode()).hexdigest()
+    return text.replace(_CONTENT, " ".join(digits[k : k + 4] for k in range(0, len(_CONTENT) - 3, 5)))
+
+
+_CONTENT = "0000 0000 0000 0000"
+
+
+def _css_text(text: str) -> Markup:
+    """Return a text as a string of a style sheet, whatever it holds."""
+    return Markup("".join(c if c.isalnum() and c.isascii() else f"\\{ord(c):x} " for c in text))
 
 
 def write_report(report: Report, path: Path) -> None:
-    """Write the report atomically. Raises DatasetError when the path cannot be written to."""
-    write_text(path, report_html(report))
+    """Write the report atomically, as HTML or PDF by its ending. Raises DatasetError for another, or if it fails."""
+    if path.suffix == PRINTED:
+        print_pdf(report_html(report), path)
+    elif path.suffix in (PAGE, ".htm"):
+        write_text(path, report_html(report))
+    else:
+        raise DatasetError(f"{path.name} is no name of a report: give NAME{PAGE} or NAME{PRINTED}.")
+
+
+PAGE, RECORD, PRINTED = ".html", ".json", ".pdf"
 
 
 @cache
@@ -54,13 +77,11 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["css"] = _css_text
     return environment.get_template(TEMPLATE)
 
 
 # -------------------------------------------------------------------------------------------------- conformance reports
-
-
-PAGE, RECORD = ".html", ".json"
 
 
 @dataclass(frozen=True, slots=True)
