@@ -6,6 +6,7 @@ import json
 import re
 import signal
 import socket
+import sys
 import time
 from subprocess import DEVNULL
 
@@ -15,7 +16,7 @@ import tifffile
 
 from tests.support.command_line import process, refused, start, viewer
 from tests.support.paths import ROOT
-from wafer_viewer.cli.app import commands
+from wafer_viewer.cli.app import commands, main
 from wafer_viewer.session.surface import kernel_build
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -88,6 +89,17 @@ def test_every_command_explains_itself_without_frames():
         assert not set("│╭─╰") & set(printed.stdout), command
         assert "---" not in printed.stdout, command
     assert viewer("--version").stdout.startswith("wafer-viewer ")
+
+
+def test_a_person_at_a_terminal_reads_a_few_lines(surface, monkeypatch, capsys):
+    words = ("measure", "step", str(surface), "--upper", 600, 560, 640, 600, "--lower", 700, 560, 740, 600)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert main(list(map(str, words))) == 0
+    read = capsys.readouterr().out
+    assert re.match(r"StepHeight: height -?\d+\.\d+ ± \d+\.\d+ um \(k = 2\)\n  at joint ", read)
+    assert "Levelled to the upper face" in read
+    assert main([*map(str, words), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["type"] == "step_height"
 
 
 def test_a_group_alone_lists_its_commands_with_their_answers_by_family():

@@ -7,6 +7,7 @@ What is not known of the conditions is left out and then listed as not evaluated
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,13 +57,14 @@ def _measure(
     level: tuple[str, ...],
     field: int,
     result: str,
+    json: bool,
     options: ToolOptions | None = None,
 ) -> None:
     """Measure with a tool at its regions and print the result."""
     from wafer_viewer.measure.registry import measured
 
     surface, calibrated = _surface(src, level, field, result)
-    _print(measured(surface, tool, places, calibrated, options), field)
+    _print(measured(surface, tool, places, calibrated, options), field, json)
 
 
 def _surface(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
@@ -78,11 +80,11 @@ def _surface(src: Path, level: tuple[str, ...], field: int, result: str) -> tupl
 def tool_command(tool: MeasuringTool) -> Callable[..., None]:
     """Return the command of a tool, whose flags are its regions and options."""
 
-    def run(src: Path, field: int, result: str, level: tuple[str, ...] = (), **given: Any) -> None:
+    def run(src: Path, field: int, result: str, json: bool, level: tuple[str, ...] = (), **given: Any) -> None:
         widths = {"width_um": given.pop("width_um")} if "width_um" in given else {}
         places = tuple(_REGIONS[place.kind](*given.pop(place.flag), **widths) for place in tool.places)
         options = ToolOptions(**{tool.name: tool.options(**given)}) if tool.options is not None else None
-        _measure(tool.name, places, src, level, field, result, options)
+        _measure(tool.name, places, src, level, field, result, json, options)
 
     flags = [Flag("src", Source, "A NAME.wafer or a surface file, such as .x3p."), *_region_flags(tool)]
     flags += _option_flags(tool)
@@ -90,6 +92,7 @@ def tool_command(tool: MeasuringTool) -> Callable[..., None]:
         flags.append(Flag("level", Level, _LEVEL_HELP, ()))
     flags.append(Flag("field", int, "A field of the dataset; 0 is the stitched surface.", 0))
     flags.append(Flag("result", str, "Name of the reconstruction.", "default"))
+    flags.append(Flag("json", bool, "Print JSON to a terminal too, as into a pipe or a file.", False))
     return with_flags(run, tool.help, flags)
 
 
@@ -121,9 +124,16 @@ _REGION_TYPES: dict[RegionKind, Any] = {"point": Place, "line": Line, "rectangle
 _LEVEL_HELP = "Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default."
 
 
-def _print(found: AnyResult, field: int) -> None:
-    """Print a result as JSON on standard output."""
-    print_json(msgspec.to_builtins(replace(found, show=field)))
+def _print(found: AnyResult, field: int, json: bool) -> None:
+    """Print a result: a few lines to a person at a terminal, JSON into a pipe or a file, and where it is asked for."""
+    if json or not sys.stdout.isatty():
+        print_json(msgspec.to_builtins(replace(found, show=field)))
+        return
+    print(found)
+    if missing := getattr(found, "not_evaluated", ()):
+        print(f"  not in U: {'; '.join(missing)}")
+    for note in found.notes:
+        print(f"  {note}")
 
 
 def measure_site_range(
@@ -285,8 +295,9 @@ def measure_step(
     level: Level = (),
     field: int = 0,
     result: str = "default",
+    json: bool = False,
 ) -> None:
-    """The height of one face over another, with its uncertainty and what is not in it, as JSON. Stage um.
+    """The height of one face over another, with its uncertainty and what is not in it. Stage um.
 
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
@@ -299,6 +310,7 @@ def measure_step(
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
+        json: Print JSON to a terminal too, as into a pipe or a file.
     """
     from wafer_viewer.measure.tools.step_height import step_height
 
@@ -308,7 +320,7 @@ def measure_step(
     found = step_height(
         surface, high, low, definition=definition, conditions=given.conditions, calibration_valid=calibrated
     )
-    _print(replace(found, notes=(*notes, *found.notes)), field)
+    _print(replace(found, notes=(*notes, *found.notes)), field, json)
 
 
 def measure_groove(
@@ -320,8 +332,9 @@ def measure_groove(
     level: Level = (),
     field: int = 0,
     result: str = "default",
+    json: bool = False,
 ) -> None:
-    """The depth of a groove, the height of a ridge or of a single step that a line crosses (ISO 5436-1), as JSON.
+    """The depth of a groove, the height of a ridge or of a single step that a line crosses (ISO 5436-1).
 
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
@@ -332,9 +345,10 @@ def measure_groove(
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
+        json: Print JSON to a terminal too, as into a pipe or a file.
     """
     options = ToolOptions(groove=GrooveOptions(shape=shape, conditions=given.conditions))
-    _measure("groove", (Region.line(*line, width_um),), src, level, field, result, options)
+    _measure("groove", (Region.line(*line, width_um),), src, level, field, result, json, options)
 
 
 def _require_one_way(upper: bool, lower: bool, faces: str | None) -> None:

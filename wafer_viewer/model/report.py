@@ -31,7 +31,7 @@ PART_TITLES: dict[Part, str] = {
     "verdict": "Verdict",
     "signatures": "Signatures",
     "warnings": "Warnings",
-    "surface": "Surface, and where it was measured",
+    "surface": "Surface",
     "features": "Features",
     "results": "Results",
     "defects": "Defects",

@@ -57,7 +57,7 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
     idle = bool(chosen) and not here.ask.busy(WRITING)
     floppy, sheet = viser.Icon.DEVICE_FLOPPY, viser.Icon.FILE_TEXT
     return [
-        Html(html.title("Report", "A self-contained HTML file that prints on A4; NAME.pdf prints it at once.")),
+        Html(html.title("Report", "One HTML file that prints well; a name that ends in .pdf prints it at once.")),
         Html(here.page.notes(here.snapshot)),
         Text("Title", here.own.title, lambda title: here.keep(title=title), TITLE_HINT),
         Text("Number", here.own.number, lambda number: here.keep(number=number), NUMBER_HINT),
