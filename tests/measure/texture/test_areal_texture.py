@@ -56,6 +56,50 @@ def test_a_sine_has_the_heights_and_slopes_of_the_textbook():
     assert found.sdr_fraction == pytest.approx(np.mean(np.sqrt(1 + slope**2)) - 1, rel=5e-3)
 
 
+def test_a_sine_has_the_volumes_of_its_material_ratio_curve():
+    """The curve of a sine of amplitude 1 is cos(pi mr), whose integrals are known."""
+
+    def material(mr):
+        return np.sin(np.pi * mr) / np.pi - mr * np.cos(np.pi * mr)
+
+    def void(mr):
+        return np.sin(np.pi * mr) / np.pi + (1 - mr) * np.cos(np.pi * mr)
+
+    found = of(wave(15.37, turned_deg=31.0), form_order=0)
+    true = {
+        "vmp": material(0.1),
+        "vmc": material(0.8) - material(0.1),
+        "vvc": void(0.1) - void(0.8),
+        "vvv": void(0.8),
+        "sxp": np.cos(0.025 * np.pi),
+    }
+    assert {name: getattr(found, name).value_um for name in true} == pytest.approx(true, abs=4e-3)
+    assert found.vmp.value_um == pytest.approx(0.003257, rel=0.02)
+
+
+@pytest.mark.parametrize(("period_px", "neighbours", "seven"), [(15, 0.0073, 0.004), (10, 0.0164, 0.005), (6, 0.045, 0.015)])
+def test_slopes_of_short_waves_are_truer_through_seven_pixels(period_px, neighbours, seven):
+    z_um = wave(period_px * PIXEL_UM, amplitude_um=0.05)
+    slope = 0.05 * 2 * np.pi / (period_px * PIXEL_UM)
+    along = slope * np.cos(np.linspace(0, 2 * np.pi, 4096, endpoint=False))
+    sdq, sdr = slope / np.sqrt(2), np.mean(np.sqrt(1 + along**2)) - 1
+    plain, truer = of(z_um), of(z_um, slopes="seven_point")
+    assert truer.sdq == pytest.approx(sdq, rel=seven)
+    assert truer.sdr_fraction == pytest.approx(sdr, rel=2.5 * seven)
+    assert plain.sdq == pytest.approx(sdq * (1 - neighbours), rel=3e-3)
+    assert truer.sq == plain.sq
+    assert any("through seven pixels" in note for note in truer.notes)
+    assert any("neighbouring pixels" in note for note in plain.notes)
+
+
+def test_slopes_through_seven_pixels_need_all_of_them():
+    z_um = 0.02 * lattice()[0] + smooth_noise() * 0.01
+    full, left = of(z_um, slopes="seven_point"), of(holed(z_um, 0.05), slopes="seven_point")
+    assert left.sdq == pytest.approx(full.sdq, rel=0.05)
+    with pytest.raises(MeasureError, match=r"TextureOptions.slopes is 'five': it must be one of 'neighbours', 'seven"):
+        of(z_um, slopes="five")
+
+
 @pytest.mark.parametrize("turned_deg", [0.0, 30.0, 90.0, 137.0])
 def test_a_grating_has_a_lay_and_its_direction(turned_deg):
     found = of(wave(10, turned_deg=turned_deg) + 0.1 * smooth_noise())

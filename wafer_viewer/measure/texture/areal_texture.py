@@ -16,7 +16,7 @@ from wafer_viewer.measure.base.plane_faces import area_of, lattice_of
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Texture
-from wafer_viewer.model.measurement.tool_options import TextureOptions
+from wafer_viewer.model.measurement.tool_options import SlopeScheme, TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean
@@ -49,6 +49,40 @@ def developed_fraction(z_um: Floats, pixel_um: float) -> float | None:
     )
     finite = np.isfinite(middle)
     return float(np.mean(np.asarray(ratio)[finite])) / 4 - 1 if finite.any() else None
+
+
+SEVEN_POINT = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60
+"""Weights of the first derivative through seven points, exact for polynomials of order 6."""
+
+
+def seven_point_slopes(z_um: Floats, pixel_um: float) -> Floats:
+    """Return the slopes of z [row, col] along both axes, [2, pixel], where all points that they need are measured."""
+    reach = len(SEVEN_POINT) // 2
+    inner = slice(reach, -reach)
+    windows = np.lib.stride_tricks.sliding_window_view
+    down = windows(z_um, len(SEVEN_POINT), axis=0)[:, inner] @ SEVEN_POINT
+    across = windows(z_um, len(SEVEN_POINT), axis=1)[inner] @ SEVEN_POINT
+    known = np.isfinite(down) & np.isfinite(across)
+    return np.stack([down[known], across[known]]) / pixel_um
+
+
+def hybrid_parameters(z_um: Floats, pixel_um: float, slopes: SlopeScheme) -> dict[str, float | None]:
+    """Return Sdq, and Sdr as a fraction, of z [row, col]; None where no slope is known."""
+    if slopes == "neighbours":
+        return {
+            "sdq": root_mean_square_gradient(z_um, pixel_um),
+            "sdr_fraction": developed_fraction(z_um, pixel_um),
+        }
+    squares = np.sum(seven_point_slopes(z_um, pixel_um) ** 2, axis=0) if min(z_um.shape) > len(SEVEN_POINT) else None
+    if squares is None or not squares.size:
+        return {"sdq": None, "sdr_fraction": None}
+    return {"sdq": float(np.sqrt(np.mean(squares))), "sdr_fraction": float(np.mean(np.sqrt(1 + squares))) - 1}
+
+
+SLOPES: dict[SlopeScheme, str] = {
+    "neighbours": "Sdq of differences of neighbouring pixels, Sdr of four triangles for each four pixels.",
+    "seven_point": "Sdq and Sdr of slopes through seven pixels, where all of them are measured.",
+}
 
 
 def _triangle_areas(one: Floats, other: Floats, pixel_um: float) -> Floats:
@@ -108,6 +142,27 @@ def _line(curve: Floats) -> tuple[float, float]:
 def _triangle(total_um: float, points: int) -> float:
     """Return the height of a triangle with the given base, in points, and area."""
     return 2 * total_um / points if points else 0.0
+
+
+PEAKS_END, VALLEYS_BEGIN = 0.1, 0.8
+"""Material ratios between which is the core, for volumes (ISO 25178-3, default values)."""
+EXTREME_FROM, EXTREME_TO = 0.025, 0.5
+"""Material ratios of the peak extreme height Sxp (the same)."""
+
+
+def volumes(z_um: Floats) -> dict[str, float]:
+    """Return material and void volumes per area, and Sxp, in um, of heights [n] of equal area."""
+    ratios = (PEAKS_END, VALLEYS_BEGIN, EXTREME_FROM, EXTREME_TO)
+    at_peaks, at_valleys, extreme, middle = np.quantile(z_um, [1 - ratio for ratio in ratios], method="hazen")
+    material = [float(np.mean(np.maximum(z_um - level, 0))) for level in (at_peaks, at_valleys)]
+    void = [float(np.mean(np.maximum(level - z_um, 0))) for level in (at_peaks, at_valleys)]
+    return {
+        "vmp": material[0],
+        "vmc": material[1] - material[0],
+        "vvc": void[0] - void[1],
+        "vvv": void[1],
+        "sxp": float(extreme - middle),
+    }
 
 
 FORMS = {0: "Form removed: the mean alone.", 1: "Form removed: plane of least squares."}
@@ -319,6 +374,7 @@ def texture(
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
     noise_um: float | None = None,
+    slopes: SlopeScheme = "neighbours",
     calibration_valid: bool = True,
     layer: Layer | None = None,
     name: str = "",
@@ -342,6 +398,9 @@ def texture(
     noise_um : float, optional
         Root mean square noise of the heights in um, as repeats of a flat give it (`calibrate noise`). Default None:
         unknown, and the uncertainty is not evaluated.
+    slopes : {'neighbours', 'seven_point'}, optional
+        Slopes of Sdq and Sdr. Default 'neighbours': differences of neighbouring pixels, and four triangles for each
+        four. 'seven_point': through seven pixels, which reads short waves truer, and noise higher.
     calibration_valid : bool, optional
         Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
         calibration, results have status 'uncalibrated' and no uncertainty.
@@ -354,7 +413,8 @@ def texture(
     -------
     Texture
         Height (Sa, Sq, Sp, Sv, Sz in um; Ssk, Sku), hybrid (Sdq, Sdr as a fraction), functional (Sk, Spk, Svk in um;
-        Smr1, Smr2 as fractions) and spatial parameters (Sal in um, Str, Std in degrees). Parameters that are not
+        Smr1, Smr2 as fractions), volume (Vmp, Vmc, Vvc, Vvv in um, that is um3/um2, at material ratios of 10 and 80 %;
+        Sxp in um) and spatial parameters (Sal in um, Str, Std in degrees). Parameters that are not
         defined for this surface are None. With a noise, the lengths but Sal have expanded uncertainties (k = 2).
 
     Raises
@@ -391,7 +451,9 @@ def texture(
     .. [5] ISO 25178-700, Surface texture: Areal - Part 700: Calibration, adjustment and verification of areal
        topography measuring instruments.
     """
-    options = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um, noise_um=noise_um)
+    options = TextureOptions(
+        form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um, noise_um=noise_um, slopes=slopes
+    )
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "texture")
     lattice_um = lattice_of(area)
@@ -403,6 +465,7 @@ def texture(
     waves, names = _spatial(reading, z_um, area.pixel_um, flat)
     notes = (
         *form_notes(options),
+        SLOPES[slopes],
         *names,
         *unseen_waves(surface.provenance, area.pixel_um, s_filter_um, "The S-filter"),
         *near_noise(surface.provenance, sq_um, "Sq"),
@@ -418,8 +481,7 @@ def texture(
         options=options,
         **lengths,
         **_moments(left, sq_um, flat),
-        sdq=root_mean_square_gradient(z_um, area.pixel_um),
-        sdr_fraction=developed_fraction(z_um, area.pixel_um),
+        **hybrid_parameters(z_um, area.pixel_um, slopes),
         smr1_fraction=(found := bearing(left)).smr1,
         smr2_fraction=found.smr2,
         **waves,
@@ -440,6 +502,7 @@ def length_parameters(left: Floats) -> dict[str, float]:
         "sk": core.sk_um,
         "spk": core.spk_um,
         "svk": core.svk_um,
+        **volumes(left),
     }
 
 

@@ -355,8 +355,9 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     """ISO 25178-2 parameters of a region, after removal of form and filtered wavelengths.
 
     Height: sa, sq, sp, sv, sz, ssk, sku. Hybrid: sdq (a slope), sdr_fraction. Functional: sk, spk, svk, smr1_fraction,
-    smr2_fraction. Spatial: sal, str_ratio, std (across the lay, anticlockwise from +x). None: not defined for this
-    surface; ssk, sku and sal for a flat one, std for one without a lay.
+    smr2_fraction. Volume, um3/um2: vmp, vmc, vvc, vvv at material ratios of 10 and 80 %; sxp. Spatial: sal, str_ratio,
+    std (across the lay, anticlockwise from +x). None: not defined for this surface; ssk, sku and sal for a flat one,
+    std for one without a lay.
     """
 
     main_fields: ClassVar[tuple[str, ...]] = ("sa",)
@@ -378,6 +379,11 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     svk: Annotated[Length | None, Label("Svk", "Reduced depth of the valleys under the core", "Functional")] = None
     smr1_fraction: Annotated[Fraction | None, Label("Smr1", "Material ratio where peaks end", "Functional")] = None
     smr2_fraction: Annotated[Fraction | None, Label("Smr2", "Material ratio where valleys begin", "Functional")] = None
+    vmp: Annotated[Length | None, Label("Vmp", "Material volume of the peaks, up to 10 %, per area", "Volume")] = None
+    vmc: Annotated[Length | None, Label("Vmc", "Material volume of the core, 10 to 80 %, per area", "Volume")] = None
+    vvc: Annotated[Length | None, Label("Vvc", "Void volume of the core, 10 to 80 %, per area", "Volume")] = None
+    vvv: Annotated[Length | None, Label("Vvv", "Void volume of the valleys, from 80 %, per area", "Volume")] = None
+    sxp: Annotated[Length | None, Label("Sxp", "Peak extreme height: from 2.5 to 50 %", "Volume")] = None
     sal: Annotated[
         Length | None,
         Label("Sal", "Autocorrelation length: the shortest distance at which heights no longer correlate", "Spatial"),

@@ -118,19 +118,23 @@ class VolumeOptions(OptionsSpec, frozen=True, kw_only=True):
     reference: Literal["border", "zero"] | None = None
 
 
+SlopeScheme = Literal["neighbours", "seven_point"]
+
+
 class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     """Options of the areal texture.
 
     form_order: order of the least-squares polynomial removed as form; 0 is the mean, 1 a plane.
     s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that remove shorter and longer
     wavelengths; None: no filter. noise_um: root mean square noise of the heights, as `calibrate noise` measures it, for
-    the uncertainty; None: unknown.
+    the uncertainty; None: unknown. slopes: how Sdq and Sdr take slopes, of neighbouring or of seven pixels.
     """
 
     form_order: Annotated[int, Within(0, 8)] = 1
     s_filter_um: Positive | None = None
     l_filter_um: Positive | None = None
     noise_um: NonNegative | None = None
+    slopes: SlopeScheme = "neighbours"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -465,6 +465,13 @@ _BUILT_IN = (
                 "Removes longer wavelengths; empty: no filter",
                 help="Nesting index of the Gaussian filter that removes longer wavelengths; none by default.",
             ),
+            ChoiceControl(
+                "Slopes",
+                "slopes",
+                {"Neighbours": "neighbours", "Seven points": "seven_point"},
+                "For Sdq and Sdr; seven points read short waves truer, and noise higher",
+                "Slopes of Sdq and Sdr: of neighbouring pixels, or of seven, which reads short waves truer.",
+            ),
             NumberControl(
                 "Noise, µm",
                 "noise_um",

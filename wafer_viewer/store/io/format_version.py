@@ -7,6 +7,7 @@ from `OLDEST` on is read:
   and tags of frames, no provisional passes, and 0 for a size of the sample that is not given.
 - 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has. Heights do not say
   whether an import made up the positions of their fields.
+- 3: textures have no volumes and no choice of slopes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import MOST_RECORD_BYTES, Checksum, sealed_text, strip_checksum, text_state
 from wafer_viewer.store.io.guarded_reading import read_content
 
-OLDEST, SCHEMA = 1, 3
+OLDEST, SCHEMA = 1, 4
 """Oldest number that is read, and that of the keys of all structs in a dataset: it rises with every key that is added,
 removed or renamed.
 
