@@ -77,7 +77,9 @@ def test_a_sine_has_the_volumes_of_its_material_ratio_curve():
     assert found.vmp.value_um == pytest.approx(0.003257, rel=0.02)
 
 
-@pytest.mark.parametrize(("period_px", "neighbours", "seven"), [(15, 0.0073, 0.004), (10, 0.0164, 0.005), (6, 0.045, 0.015)])
+@pytest.mark.parametrize(
+    ("period_px", "neighbours", "seven"), [(15, 0.0073, 0.004), (10, 0.0164, 0.005), (6, 0.045, 0.015)]
+)
 def test_slopes_of_short_waves_are_truer_through_seven_pixels(period_px, neighbours, seven):
     z_um = wave(period_px * PIXEL_UM, amplitude_um=0.05)
     slope = 0.05 * 2 * np.pi / (period_px * PIXEL_UM)

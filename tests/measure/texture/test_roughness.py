@@ -40,6 +40,18 @@ def test_a_sine_has_the_parameters_of_the_textbook():
     assert any("waviness included" in note for note in found.notes)
 
 
+def test_slopes_and_core_of_a_line_are_those_of_the_textbook():
+    found = of(wave(4, 0.1))
+    assert found.rdq == pytest.approx(0.1 * 2 * np.pi / 4 / np.sqrt(2), rel=0.005)
+    normal = of(noise_of(5, SHAPE, 1.0))
+    assert (normal.rk.value_um, normal.rpk.value_um, normal.rvk.value_um) == pytest.approx((2.56, 0.85, 0.85), abs=0.25)
+    assert normal.rmr1_fraction == pytest.approx(0.1, abs=0.04)
+    assert normal.rmr2_fraction == pytest.approx(0.9, abs=0.04)
+    gaps = 0.02 * x_um() + wave(8, 0.1)
+    gaps[:, ::9] = np.nan
+    assert of(gaps).rdq == pytest.approx(0.1 * 2 * np.pi / 8 / np.sqrt(2), rel=0.05)
+
+
 def test_a_cut_off_parts_roughness_from_waviness():
     found = of(wave(5, 0.2) + wave(300, 2.0), lambda_c_um=50.0, lambda_s_um=2.5)
     rough, wavy = 0.2 * 2 ** -((2.5 / 5) ** 2), 2 * (1 - 2 ** -((50 / 300) ** 2))

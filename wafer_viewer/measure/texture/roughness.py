@@ -11,6 +11,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT, bearing
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
@@ -35,7 +36,7 @@ PRIMARY = (
     "No cut-off lambda-c: the primary profile, waviness included, as one section; the norm writes Pa, Pq, Pz, Pt for "
     "Ra, Rq, Rz, Rt."
 )
-DEFINITIONS = "ISO 21920-2: Ra, Rq, Rt over the whole evaluation length; Rp, Rv, Rz means of its sections."
+DEFINITIONS = "ISO 21920-2: Ra, Rq, Rt, Rdq, Rk over the whole evaluation length; Rp, Rv, Rz means of its sections."
 BORDERS = (
     "Filter at ends and gaps: weights scaled to sum one (ISO 16610-28, moment criterion of order 0); nothing from "
     "beyond the line."
@@ -68,7 +69,7 @@ def roughness(
 ) -> Roughness:
     """Measure profile roughness along a line by ISO 21920-2.
 
-    The parameters are Ra, Rq, Rz, Rt, Rp, Rv, Rsk and Rku. Unmeasured points are excluded.
+    The parameters are Ra, Rq, Rz, Rt, Rp, Rv, Rsk, Rku, Rdq and those of Rk. Unmeasured points are excluded.
 
     Parameters
     ----------
@@ -91,7 +92,8 @@ def roughness(
     Returns
     -------
     Roughness
-        Ra, Rq, Rz, Rt, Rp and Rv in um, Rsk and Rku without unit (None for a flat line), and the sampling lengths.
+        Ra, Rq, Rz, Rt, Rp and Rv in um, Rsk and Rku without unit (None for a flat line), Rdq, the slope; Rk, Rpk
+        and Rvk in um, Rmr1 and Rmr2 as fractions, and the sampling lengths.
         Without uncertainty: the contribution of noise is not evaluated.
 
     Raises
@@ -111,9 +113,9 @@ def roughness(
     gaps their weights are scaled to sum one (ISO 16610-28 [3]_, moment criterion of order 0).
 
     Sampling lengths are as long as lambda-c: five where the line is long enough, fewer with a note. By ISO 21920-2
-    [1]_, Ra, Rq, Rt, Rsk and Rku are over the entire evaluation length; Rp, Rv and Rz are means of its sections.
-    Without lambda-c the primary profile, waviness included, is evaluated as one section; the standard writes Pa, Pq,
-    Pz, Pt for Ra, Rq, Rz, Rt.
+    [1]_, Ra, Rq, Rt, Rsk, Rku, Rdq and those of Rk are over the entire evaluation length; Rp, Rv and Rz are means of
+    its sections. Without lambda-c the primary profile, waviness included, is evaluated as one section; the standard
+    writes Pa, Pq, Pz, Pt for Ra, Rq, Rz, Rt.
 
     The notes of the result name waves too short to be resolved and an Rq that may be mostly noise.
 
@@ -130,6 +132,7 @@ def roughness(
     evaluated = _evaluated(curve, pixel_um, options)
     left = evaluated.z_um[np.isfinite(evaluated.z_um)]
     rq_um = float(np.sqrt(np.mean(left**2)))
+    flat = rq_um <= ROUNDING * float(np.nanmax(np.abs(curve.z_um)))
     notes = (
         LINE_REMOVED,
         *evaluated.notes,
@@ -141,7 +144,7 @@ def roughness(
         **{**reading.result_fields(name, 0, *notes), "filter": _filter_names(options, line)},
         line=line,
         options=options,
-        **_heights(reading, evaluated, left, rq_um, rq_um <= ROUNDING * float(np.nanmax(np.abs(curve.z_um)))),
+        **_heights(reading, evaluated, pixel_um, left, rq_um, flat),
         sections=evaluated.sections,
         section_um=evaluated.section_um,
         points=len(left),
@@ -182,9 +185,10 @@ def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
 
 
 def _heights(
-    reading: MeasurementContext, evaluated: Evaluated, left: Floats, rq_um: float, flat: bool
+    reading: MeasurementContext, evaluated: Evaluated, pixel_um: float, left: Floats, rq_um: float, flat: bool
 ) -> dict[str, Any]:
-    parts = list(evaluated.split())
+    parts, core = list(evaluated.split()), bearing(left)
+    heights = {"rk": core.sk_um, "rpk": core.spk_um, "rvk": core.svk_um}
     highest, lowest = (float(np.mean([extreme(part) for part in parts])) for extreme in (np.max, np.min))
     return {
         "ra": reading.length(float(np.mean(np.abs(left))), None),
@@ -195,7 +199,20 @@ def _heights(
         "rv": reading.length(-lowest, None),
         "rsk": None if flat else float(np.mean(left**3)) / rq_um**3,
         "rku": None if flat else float(np.mean(left**4)) / rq_um**4,
+        "rdq": root_mean_square_slope(evaluated.z_um, pixel_um),
+        **{name: reading.length(value_um, None) for name, value_um in heights.items()},
+        "rmr1_fraction": core.smr1,
+        "rmr2_fraction": core.smr2,
     }
+
+
+def root_mean_square_slope(z_um: Floats, pixel_um: float) -> float | None:
+    """Return Rdq of heights [n] by slopes through seven points; None where there are never as many."""
+    if len(z_um) < len(SEVEN_POINT):
+        return None
+    slopes = np.lib.stride_tricks.sliding_window_view(z_um, len(SEVEN_POINT)) @ SEVEN_POINT / pixel_um
+    known = slopes[np.isfinite(slopes)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else None
 
 
 def _without_line(curve: ProfileCurve) -> Floats:

@@ -402,8 +402,9 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
 class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     """ISO 21920-2 parameters along a line.
 
-    ra, rq, rt, rsk, rku: over the whole evaluation length; rp, rv, rz: means over its sections of section_um each.
-    Without a cut-off the profile is the primary profile with one section, and the standard names are Pa, Pq, Pt ...
+    ra, rq, rt, rsk, rku, rdq (a slope), rk, rpk, rvk, rmr1_fraction, rmr2_fraction: over the whole evaluation length;
+    rp, rv, rz: means over its sections of section_um each. Without a cut-off the profile is the primary profile with
+    one section, and the standard names are Pa, Pq, Pt ...
     """
 
     input_fields: ClassVar[tuple[str, ...]] = ("line",)
@@ -418,6 +419,12 @@ class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     rv: Annotated[Length, Label("Rv", "Lowest pit, mean of the sections", "Sections")]
     rsk: Annotated[float | None, Label("Rsk", _SKEWNESS, "Evaluation", signed=True)]
     rku: Annotated[float | None, Label("Rku", _KURTOSIS, "Evaluation")]
+    rdq: Annotated[NonNegative | None, Label("Rdq", f"Root mean square slope {_WHOLE}", "Evaluation")] = None
+    rk: Annotated[Length | None, Label("Rk", "Height of the core", "Functional")] = None
+    rpk: Annotated[Length | None, Label("Rpk", "Reduced height of the peaks over the core", "Functional")] = None
+    rvk: Annotated[Length | None, Label("Rvk", "Reduced depth of the valleys under the core", "Functional")] = None
+    rmr1_fraction: Annotated[Fraction | None, Label("Rmr1", "Material ratio where peaks end", "Functional")] = None
+    rmr2_fraction: Annotated[Fraction | None, Label("Rmr2", "Material ratio where valleys begin", "Functional")] = None
     sections: Annotated[int, Label("Sampling lengths")]
     section_um: Annotated[NonNegative, Label("Sampling length", digits=1)]
     points: int
