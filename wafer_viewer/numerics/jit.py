@@ -12,7 +12,7 @@ from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -59,6 +59,23 @@ class KernelLocator:
 
 
 _CONFIG: Any = cast(Any, numba).config  # missing in its stubs
+
+
+def _features() -> str:
+    """Return the features of this processor for the compiler, with vectors as long as it has.
+
+    LLVM halves the vectors of all processors with 512 bits, because the first of them slowed down; those since Ice Lake
+    (`avx512vbmi`) do not: the focus volume takes a quarter less time.
+    """
+    try:
+        found = binding.get_host_cpu_features()
+    except RuntimeError:  # the processor does not tell
+        return ""
+    return f"{found.flatten()},-prefer-256-bit" if found.get("avx512vbmi") else ""
+
+
+if _CONFIG.CPU_FEATURES is None and _CONFIG.CPU_NAME is None:
+    _CONFIG.CPU_FEATURES = _features() or None
 _LOCATOR = f"{__name__}.{KernelLocator.__name__}"
 
 

@@ -38,6 +38,7 @@ from wafer_viewer.reconstruct.focus.focus_volume import (
     FocusCurves,
     Focusing,
     Volume,
+    cores,
     note,
     on_threads,
     rows_in,
@@ -56,8 +57,8 @@ from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, PeakInterpo
 from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, StackWindow, developed, row_parts, stripes
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
 
-STRIPE_ROWS = 32
-"""A multiple of `COARSE_PX`; the focus volumes of two threads then fit the L3 cache of most processors."""
+STRIPE_ROWS, _LEAST_STRIPE_ROWS = 96, 32
+"""Limits of the rows of a stripe, multiples of `COARSE_PX`: each measures the rows of its margins once more."""
 
 
 def largest_gap(n_frames: int) -> int:
@@ -136,7 +137,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     progress receives the finished fraction, on the calling thread; an exception raised by it ends the search.
     """
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
-    parts = stripes(frames.shape, STRIPE_ROWS)
+    parts = stripes(frames.shape, _stripe_rows(frames.shape[0], threads or cores()))
 
     def search_parts(todo: Iterator[StackWindow]) -> None:
         bench = ThreadScratch.make(frames.n_frames, (parts[0].rows.stop, frames.shape[1]), search, frames.dtype)
@@ -145,6 +146,12 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
 
     on_threads(search_parts, parts, threads, progress)
     return peaks
+
+
+def _stripe_rows(n_rows: int, threads: int) -> int:
+    """Return the rows of a stripe: two stripes a thread, so that none waits for long, within the limits."""
+    share = COARSE_PX * -(-n_rows // (2 * COARSE_PX * threads))
+    return min(STRIPE_ROWS, max(_LEAST_STRIPE_ROWS, share))
 
 
 def search_block(
