@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, UInt8s, kernel, lean_kernel
+from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, UInt8s, kernel, lean_kernel, lean_part
 
 
 def component_sizes(z: Float32s, max_step: Real) -> Int32s:
@@ -15,10 +15,10 @@ def component_sizes(z: Float32s, max_step: Real) -> Int32s:
 
     4-connectivity; two neighbours are connected if they differ by at most `max_step`.
     """
-    root, sizes = np.arange(z.size, dtype=np.int32), np.empty(z.size, np.int32)
-    _join_alike(z, np.float32(max_step), root)
-    _count_roots(root, np.zeros(z.size, np.int32), sizes)
-    return sizes.reshape(z.shape)
+    runs, root, count = (np.empty(z.size, np.int32) for _ in range(3))
+    sizes = np.empty(z.shape, np.int32)
+    _join_alike(np.ascontiguousarray(z), np.float32(max_step), runs.reshape(z.shape), root, count, sizes)
+    return sizes
 
 
 def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:
@@ -33,33 +33,46 @@ def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:
 
 
 @lean_kernel
-def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
-    """Union-find with path halving; a root is the first pixel of its component, so the last sweep needs no search."""
-    n_cols = z.shape[1]
+def _join_alike(z: Float32s, max_step: Real, runs: Int32s, root: Int32s, count: Int32s, sizes: Int32s) -> None:
+    """Union-find of the runs of connected pixels of a row; a root is the first run of its component.
+
+    runs: number of the run of each pixel; root, count: of each run.
+    """
+    n_runs = 0
     for r in range(z.shape[0]):
-        for c in range(n_cols):
-            for back in range(2):
-                r2, c2 = r - back, c - 1 + back
-                if r2 >= 0 and c2 >= 0 and abs(z[r, c] - z[r2, c2]) <= max_step:
-                    a, b = r * n_cols + c, r2 * n_cols + c2
-                    while root[a] != a:
-                        root[a] = root[root[a]]
-                        a = root[a]
-                    while root[b] != b:
-                        root[b] = root[root[b]]
-                        b = root[b]
-                    root[max(a, b)] = min(a, b)
-    for n in range(root.size):
+        row, run = z[r], runs[r]
+        for c in range(row.size):
+            if c == 0 or not abs(row[c] - row[c - 1]) <= max_step:
+                root[n_runs], count[n_runs] = n_runs, 0
+                n_runs += 1
+            run[c] = n_runs - 1
+            count[n_runs - 1] += 1
+        if r > 0:
+            _join_rows(z[r - 1], row, max_step, runs[r - 1], run, root)
+    for n in range(n_runs):
         root[n] = root[root[n]]
+        if root[n] < n:
+            count[root[n]] += count[n]
+    for r in range(z.shape[0]):
+        for c in range(z.shape[1]):
+            sizes[r, c] = count[root[runs[r, c]]]
 
 
-@lean_kernel
-def _count_roots(root: Int32s, count: Int32s, sizes: Int32s) -> None:
-    """Write the number of pixels that share the root of each pixel; count: zeros, one for each pixel."""
-    for n in range(root.size):
-        count[root[n]] += 1
-    for n in range(root.size):
-        sizes[n] = count[root[n]]
+@lean_part
+def _join_rows(above: Float32s, row: Float32s, max_step: Real, runs_above: Int32s, runs: Int32s, root: Int32s) -> None:
+    """Join runs of two rows where pixels are connected; of two runs beside each other once."""
+    last_a, last_b = np.int32(-1), np.int32(-1)
+    for c in range(row.size):
+        a, b = runs[c], runs_above[c]
+        if (a != last_a or b != last_b) and abs(row[c] - above[c]) <= max_step:
+            last_a, last_b = a, b
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            root[max(a, b)] = min(a, b)
 
 
 @lean_kernel

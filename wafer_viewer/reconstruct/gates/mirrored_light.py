@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_valid
-from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Int32s, Real, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads
 from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, StackWindow, developed, stripes
 from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
@@ -94,6 +94,7 @@ def mirrored_light(
     z_um, step_um = frames.z_um, frames.step_um
 
     def add_parts(todo: Iterator[StackWindow]) -> None:
+        line = np.empty(COARSE_PX * heights_um.shape[1], np.int32)
         grey = np.empty((frames.n_frames, heights_um.shape[1]), np.float32)
         for (rows, *_), block in developed(frames, todo, 0):
             first = rows.start // COARSE_PX
@@ -102,7 +103,7 @@ def mirrored_light(
             size = rows.stop - rows.start, frames.shape[1]
             _symmetry(
                 block, size, z_um, step_um, heights_um[cells], reach_frames, camera.gain_counts, camera.floor_counts2,
-                grey, part,
+                line, grey, part,
             )  # fmt: skip
 
     on_threads(add_parts, stripes(frames.shape, _STRIPE_CELLS * COARSE_PX), threads)
@@ -140,34 +141,58 @@ def _symmetry(
     reach: Int,
     gain: Real,
     floor: Real,
+    line: Int32s,
     grey: Float32s,
     out: Symmetry,
 ) -> None:
-    """Write the sums of the cells of a block of `size` pixels; grey: work memory [k, cell]."""
+    """Write the sums of the cells of a block of `size` pixels; line, grey: work memory, [column] and [k, cell]."""
     for i in range(heights_um.shape[0]):
-        first, stop = heights_um.shape[1], 0
-        for j in range(heights_um.shape[1]):
-            if heights_um[i, j] == heights_um[i, j]:
-                first, stop = min(first, j), j + 1
-        _grey_row(source, size, COARSE_PX * i, first, stop, grey)
-        for j in range(first, stop):
+        cells, near = _near(heights_um[i], z_um, (reach + 1) * step_um)
+        if cells[0] < cells[1]:
+            _grey_row(source, size, COARSE_PX * i, cells, near, line, grey)
+        for j in range(cells[0], cells[1]):
             if heights_um[i, j] == heights_um[i, j]:
                 _add_pairs(grey, z_um, step_um, heights_um[i, j], reach, gain, floor, i, j, out)
 
 
 @lean_part
-def _grey_row(source: StackSource, size: tuple[Int, Int], top: Int, first: Int, stop: Int, grey: Float32s) -> None:
-    """Compute the mean grey of cells of a row in every frame; beyond the block its border repeats."""
-    last_row, last_col = size[0] - 1, size[1] - 1
-    for k in range(grey.shape[0]):
-        image = source.images[source.slots[k]]
-        for j in range(first, stop):
-            total = np.int64(0)
-            for r in range(top, top + COARSE_PX):
-                row = source.top + min(r, last_row)
-                for c in range(COARSE_PX * j, COARSE_PX * (j + 1)):
-                    total += np.int64(image[row, source.left + min(c, last_col)])
-            grey[k, j] = total / np.float32(COARSE_PX**2)
+def _grey_row(
+    source: StackSource, size: tuple[Int, Int], top: Int, cells: tuple[Int, Int], frames: tuple[Int, Int], line: Int32s,
+    grey: Float32s,
+) -> None:  # fmt: skip
+    """Compute the mean grey of a range of cells of a row in some frames; beyond the block its border repeats."""
+    i, first, last_row = np.int32, COARSE_PX * cells[0], size[0] - 1
+    n, n_cols = cells[1] - cells[0], min(COARSE_PX * cells[1], size[1]) - COARSE_PX * cells[0]
+    for k in range(frames[0], frames[1]):
+        image, out = source.images[source.slots[k]], grey[k, cells[0] :]
+        line[: COARSE_PX * n] = 0
+        for r in range(top, top + COARSE_PX):
+            row = image[source.top + min(r, last_row), source.left + first :]
+            for x in range(n_cols):
+                line[x] = i(line[x] + i(row[x]))
+        for x in range(n_cols, COARSE_PX * n):
+            line[x] = line[n_cols - 1]
+        for j in range(n):
+            total = i(0)
+            for c in range(COARSE_PX):
+                total = i(total + line[COARSE_PX * j + c])
+            out[j] = np.float32(total) * np.float32(1 / COARSE_PX**2)
+
+
+@lean_part
+def _near(heights_um: Float32s, z_um: Float64s, reach_um: Real) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the ranges of the cells of a row whose height is known, and of the frames within reach of any."""
+    first, stop, low, high = heights_um.size, 0, 0, z_um.size
+    lowest, highest = np.inf, -np.inf
+    for j in range(heights_um.size):
+        if heights_um[j] == heights_um[j]:
+            first, stop = min(first, j), j + 1
+            lowest, highest = min(lowest, np.float64(heights_um[j])), max(highest, np.float64(heights_um[j]))
+    while low + 1 < z_um.size and z_um[low + 1] < lowest - reach_um:
+        low += 1
+    while high > 1 and z_um[high - 2] > highest + reach_um:
+        high -= 1
+    return (first, stop), (low, high)
 
 
 @lean_part
