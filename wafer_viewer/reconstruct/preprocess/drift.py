@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.filters.row_sums import native_copy, slope_energies
 from wafer_viewer.numerics.grids.resampling import REACH as TAPS_REACH
 from wafer_viewer.numerics.grids.resampling import Taps, resampled
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
@@ -225,9 +226,8 @@ def _sharpness(images: Image) -> NDArray[np.float64]:
 
     The sums of squares of integers are exact, so that frames may be measured one by one or together.
     """
-    rows = images[:, :: DISPLACEMENT.every_row].astype(np.float64)
-    slopes = rows[:, :, 2:] - rows[:, :, :-2]
-    return np.array([np.vdot(slope, slope) for slope in slopes])
+    rows = native_copy(images[:, :: DISPLACEMENT.every_row])
+    return slope_energies(rows.reshape(-1, rows.shape[2]), 2).reshape(len(rows), -1).sum(axis=1).astype(np.float64)
 
 
 def _sharp_frames(sharpness: NDArray[np.float64]) -> NDArray[np.intp]:

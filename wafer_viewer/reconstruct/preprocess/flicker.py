@@ -15,13 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.filters.row_sums import cell_sums, native_copy
 from wafer_viewer.numerics.jit import Greys, Real, UInt16s, kernel
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.frame_blocks import Correction, FramePixels
@@ -167,16 +167,10 @@ def flicker_cells(frame: Image, clipped_counts: int) -> FlickerCells:
     if min(frame.shape) < n:
         return np.zeros((0, 0)), np.zeros((0, 0))
     every = max(1, min(frame.size // FLICKER.sampled_px, len(frame) // n))
-    rows = np.asarray(frame)[::every]
+    rows = native_copy(frame[::every])
     high, wide = len(rows) // n, rows.shape[1] // n
-    cut = rows[: high * n, : wide * n]
-
-    def means(values: NDArray[Any]) -> NDArray[np.float64]:
-        columns = values.reshape(n, high, -1).sum(axis=1, dtype=np.uint32)
-        return columns.reshape(n, n, wide).sum(axis=2) / (high * wide)
-
-    clipped = means((cut >= clipped_counts).view(np.uint8)) if cut.max() >= clipped_counts else np.zeros((n, n))
-    return means(cut), clipped
+    sums, clipped = cell_sums(rows[: high * n], (high, wide), clipped_counts)
+    return sums[:, :n] / (high * wide), clipped[:, :n] / (high * wide)
 
 
 def _roughness(log: Gains, as_good: float) -> Callable[[Gains], Gains]:

@@ -20,6 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.filters.row_sums import cell_sums, native_copy, slope_energies
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.frame_blocks import Correction, FramePixels
 
@@ -272,16 +273,17 @@ class FrameStats:
 
 def fault_stats(frame: Image, clipped_counts: int) -> FaultStats:
     """Measure a frame on a few rows."""
-    rows, wide = frame[:: max(1, len(frame) // FAULT.rows)], FAULT.coarse_px
-    grey = rows.astype(np.float32)
-    cells = grey[:, : grey.shape[1] // wide * wide].reshape(len(grey), -1, wide).mean(axis=2)
-    clipped = float(np.mean(rows >= clipped_counts))
-    return FaultStats(float(rows.mean()), clipped, _gradient_energy(grey), _gradient_energy(cells))
-
-
-def _gradient_energy(rows: NDArray[np.float32]) -> float:
-    slope = np.diff(rows, axis=1)
-    return float(np.vdot(slope, slope)) / max(1, slope.size)
+    rows, wide = native_copy(frame[:: max(1, len(frame) // FAULT.rows)]), FAULT.coarse_px
+    grey, clipped = cell_sums(rows, (1, rows.shape[1]), clipped_counts)
+    cells, _ = cell_sums(rows, (1, wide), clipped_counts)
+    fine, coarse = int(slope_energies(rows, 1).sum()), float(np.sum(np.diff(cells / wide, axis=1) ** 2))
+    slopes, coarse_slopes = (len(rows) * max(0, n - 1) for n in (rows.shape[1], cells.shape[1]))
+    return FaultStats(
+        float(grey.sum()) / rows.size,
+        float(clipped.sum()) / rows.size,
+        fine / max(1, slopes),
+        coarse / max(1, coarse_slopes),
+    )
 
 
 def faulty_frames(

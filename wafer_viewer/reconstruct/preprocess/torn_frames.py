@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.numerics.jit import Greys
+from wafer_viewer.numerics.filters.row_sums import cell_sums, native_copy, slope_energies
+from wafer_viewer.numerics.jit import Float32s, Greys, bare_kernel
 
 Floats = NDArray[np.float32]
 LEAST_FRAMES = 6
@@ -75,14 +76,14 @@ TEAR = TearParameters()
 
 
 class SampledBands(NamedTuple):
-    """Sample of each band of rows of a frame, [band, row, col], with its mean, [band, 1, 1], and a print of its bytes.
+    """Sample of each band of rows of a frame, [band, row, col], with its mean, [band, 1, 1], and a print of its pixels.
 
     Empty where the frame is smaller than the bands.
     """
 
     grey: Greys
     level: Floats
-    prints: tuple[int, ...]
+    prints: tuple[tuple[int, int], ...]
 
 
 Change = Callable[[int, int], Floats]
@@ -168,7 +169,7 @@ def _unlike(
     return found
 
 
-def _stale(bands: _Bands, prints: Sequence[tuple[int, ...]]) -> dict[int, float]:
+def _stale(bands: _Bands, prints: Sequence[tuple[tuple[int, int], ...]]) -> dict[int, float]:
     """Return the torn fraction of frames that share some bands, to the last count, with another frame.
 
     Noise makes that impossible, so a stack without noise is not tested. Of the two frames the one is stale to which the
@@ -177,7 +178,7 @@ def _stale(bands: _Bands, prints: Sequence[tuple[int, ...]]) -> dict[int, float]
     shared: dict[tuple[int, int], list[int]] = {}
     n_bands = bands.level.shape[1]
     for b in range(n_bands):
-        seen: dict[int, int] = {}
+        seen: dict[tuple[int, int], int] = {}
         for k, band in enumerate(frame[b] for frame in bands.raw):
             first = seen.setdefault(prints[k][b], k)
             if first != k and np.array_equal(band, bands.raw[first][b]) and band.std() > 1:
@@ -220,12 +221,25 @@ def _mean_square(one: Floats, other: Floats) -> Floats:
 
 def relative_change(one: SampledBands, other: SampledBands) -> Floats:
     """Return the mean square difference between sampled bands of two frames, each relative to its mean, [band]."""
-    return _mean_square(_relative(one), _relative(other))
+    change = np.empty(len(one.grey), np.float32)
+    _mean_squares(one.grey, other.grey, one.level.ravel(), other.level.ravel(), change)
+    return change
 
 
-def _relative(bands: SampledBands) -> Floats:
-    off = bands.grey.astype(np.float32) - bands.level
-    return np.asarray(off / np.maximum(bands.level, np.float32(1)), np.float32)
+@bare_kernel
+def _mean_squares(one: Greys, other: Greys, level: Float32s, other_level: Float32s, change: Float32s) -> None:
+    """Write the mean square of the difference of relative deviations from the mean, of each band."""
+    for b in range(change.size):
+        total, least = 0.0, np.float32(1)
+        first, second = level[b], other_level[b]
+        part, other_part = least / max(first, least), least / max(second, least)
+        for r in range(one.shape[1]):
+            row, beside, squares = one[b, r], other[b, r], np.float32(0)
+            for x in range(row.size):
+                off = (np.float32(row[x]) - first) * part - (np.float32(beside[x]) - second) * other_part
+                squares += off * off
+            total += squares
+        change[b] = total / (one.shape[1] * one.shape[2])
 
 
 def sampled_bands(frame: Image) -> SampledBands:
@@ -237,6 +251,8 @@ def sampled_bands(frame: Image) -> SampledBands:
     n_rows = min(high, TEAR.sampled[0])
     rows = (np.arange(n_bands)[:, None] * high + np.linspace(0, high - 1, n_rows).astype(int)).ravel()
     every = -(-frame.shape[1] // TEAR.sampled[1])
-    grey = np.ascontiguousarray(frame[rows, ::every]).reshape(n_bands, n_rows, -1)
-    level = grey.astype(np.float32).mean(axis=(1, 2), keepdims=True)
-    return SampledBands(grey, level, tuple(hash(band.tobytes()) for band in grey))
+    grey = native_copy(frame[rows, ::every])
+    sums, energies = cell_sums(grey, (n_rows, grey.shape[1]), 0)[0][:, 0], slope_energies(grey, 1)
+    prints = tuple(zip(sums.tolist(), energies.reshape(n_bands, -1).sum(axis=1).tolist(), strict=True))
+    level = (sums / (n_rows * grey.shape[1])).astype(np.float32)
+    return SampledBands(grey.reshape(n_bands, n_rows, -1), level[:, None, None], prints)
