@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -112,12 +113,13 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     width = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
     recipe = replace(recipe, focus_width_um=width.um)
-    recipe = replace(recipe, window=best_window(frames, recipe) if recipe.window == "auto" else recipe.window)
+    tiles = TilePeaks(frames)
+    recipe = replace(recipe, window=best_window(tiles, recipe) if recipe.window == "auto" else recipe.window)
     search = search_of(recipe, n_frames, frames.step_um, frames.scale)
     resolution_um = max(1.0, width.um / frames.step_um / SUITABLE_WIDTH) * frames.step_um
     gate = gate_for(recipe, search, n_frames, resolution_um, _gap_share(recipe, search, frames.step_um))
     recipe = replace(recipe, min_confidence=gate.min_confidence)
-    maps = gated_tiles(frames, search, gate) if recipe.heights_have_auto else []
+    maps = tiles.gated_um(search, gate) if recipe.heights_have_auto else []
     recipe = settle_cleaning(maps, recipe, resolution_um)
     edges = edge_search_for(recipe, search, n_frames, resolution_um)
     coarse = coarse_step(frames.step_um, frames.depth_of_field_um, width.um)
@@ -125,12 +127,21 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     return TunedRecipe(recipe, search, gate, edges, resolution_um, notes)
 
 
-def gated_tiles(frames: Frames, search: Search, gate: Gate) -> list[NDArray[np.float32]]:
-    """Return the heights of a few tiles, NaN where the gate rejects them."""
-    return [
-        np.where(origins(peaks, gate, frames.n_frames) == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
-        for _, peaks in _tiles(frames, search)
-    ]
+class TilePeaks:
+    """Peaks of a few tiles of a field by the parameters of the search, each searched once."""
+
+    def __init__(self, frames: Frames) -> None:
+        self.frames = frames
+        self._found: dict[Search, list[Peaks]] = {}
+
+    def gated_um(self, search: Search, gate: Gate) -> list[NDArray[np.float32]]:
+        """Return the heights of the tiles, NaN where the gate rejects them."""
+        if search not in self._found:
+            self._found[search] = [copy.deepcopy(peaks) for _, peaks in _tiles(self.frames, search)]
+        return [
+            np.where(origins(peaks, gate, self.frames.n_frames) == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
+            for peaks in self._found[search]
+        ]
 
 
 def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
@@ -157,11 +168,11 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
 
 
-def best_window(frames: Frames, recipe: Recipe) -> int:
+def best_window(tiles: TilePeaks, recipe: Recipe) -> int:
     """Return the smallest window with nearly the coverage of the largest, for a recipe with a settled focus width."""
 
     def coverage(window: int) -> float:
-        return _coverage(frames, replace(recipe, window=window))
+        return _coverage(tiles, replace(recipe, window=window))
 
     *smaller, largest = AUTO_WINDOWS
     enough = ENOUGH_COVERAGE * coverage(largest)
@@ -189,12 +200,13 @@ def _gap_share(recipe: Recipe, search: Search, step_um: float) -> float:
     return search.gap * step_um / (GAP_WIDTHS * float(recipe.focus_width_um))
 
 
-def _coverage(frames: Frames, recipe: Recipe) -> float:
+def _coverage(tiles: TilePeaks, recipe: Recipe) -> float:
     """Return the fraction of pixels that pass the gate, ignoring clipping."""
+    frames = tiles.frames
     search = search_of(recipe, frames.n_frames, frames.step_um, frames.scale)
     gap_share = _gap_share(recipe, search, frames.step_um)
     gate = gate_for(replace(recipe, clipped_fraction=1.0), search, frames.n_frames, np.inf, gap_share)
-    return float(np.mean([np.mean(np.isfinite(z_um)) for z_um in gated_tiles(frames, search, gate)]))
+    return float(np.mean([np.mean(np.isfinite(z_um)) for z_um in tiles.gated_um(search, gate)]))
 
 
 def _widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -344,10 +344,10 @@ def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHe
 
 def few_heights(origin: NDArray[np.uint8]) -> tuple[str, ...]:
     """Return a note with the most frequent reason of unmeasured pixels where few are measured; origin: `Origin`."""
-    count = np.bincount(origin.ravel(), minlength=max(Origin) + 1)
-    covered = origin.size - count[Origin.NOT_COVERED]
-    if count[Origin.MEASURED] >= FEW_HEIGHTS * covered:
+    measured, covered = np.count_nonzero(origin == Origin.MEASURED), np.count_nonzero(origin != Origin.NOT_COVERED)
+    if measured >= FEW_HEIGHTS * covered:
         return ()
+    count = np.bincount(origin.ravel(), minlength=max(Origin) + 1)
     reason = max(ADVICE, key=lambda reason: count[reason])
     return (f"Under {100 * FEW_HEIGHTS:g} % of a field is measured; most of the rest {ADVICE[reason]}",)
 
