@@ -25,6 +25,7 @@ from wafer_viewer.numerics.jit import (
     Float64s,
     Greys,
     Int,
+    UInt8s,
     UInt16s,
     aligned,
     inlined_part,
@@ -158,7 +159,7 @@ class Rivals(NamedTuple):
 
     rival, least: highest other top and lowest level. dip_top, dip_low: both ends of the deepest dip between the peak
     and a top nearer than a rival, and dip_at, the frame of its top. turn, turn_at: highest or lowest level so far
-    between the peak and a frame near it, and its frame.
+    between the peak and a frame near it, and its frame. peaking: uint8 [frame], 1 where any curve of the row peaks.
     """
 
     rival: UInt16s
@@ -168,18 +169,20 @@ class Rivals(NamedTuple):
     dip_at: UInt16s
     turn: UInt16s
     turn_at: UInt16s
+    peaking: UInt8s
 
     @classmethod
     def make(cls, cols: int) -> Rivals:
         """Allocate rows of `cols` pixels."""
-        return cls(*(aligned((cols,), np.uint16) for _ in range(7)))
+        return cls(*(aligned((cols,), np.uint16) for _ in range(7)), peaking=np.zeros(1 << 16, np.uint8))
 
 
 @inlined_part
 def find_rivals(curves: FocusCurves, y: Int, gap: Int, octave: Int, found: Rivals) -> None:
     """Find the highest top of row y at least `gap` frames from its peaks, the lowest level, and dips nearer by.
 
-    Without a rival the lowest level is used. octave: difference of two levels whose focus differs by a factor of two.
+    Without a rival the lowest level is used. octave: difference of two levels whose focus differs by a factor of two;
+    0 where dips are not wanted.
     """
     levels, best, peak = curves.levels, curves.best[y], curves.peak[y]
     last, rival, least = levels.shape[0] - 1, found.rival, found.least
@@ -187,14 +190,14 @@ def find_rivals(curves: FocusCurves, y: Int, gap: Int, octave: Int, found: Rival
     least[:] = 65535
     for row in (found.dip_top, found.dip_low, found.dip_at, found.turn, found.turn_at):
         row[:] = 0
-    first, end = last + 1, -1
+    found.peaking[: last + 1] = 0
     for x in range(peak.size):
-        first, end = min(first, np.int64(peak[x]) - gap), max(end, np.int64(peak[x]) + gap)
+        found.peaking[peak[x]] = 1
     for k in range(last + 1):
         prefetch(levels[min(k + _AHEAD, last), y])
         before, level, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
         _rival_row(before, level, after, k, gap, peak, rival, least)
-        if first < k < end:
+        if octave and found.peaking[max(k - gap + 1, 0) : min(k + gap, last + 1)].any():
             _dip_row(level, best, k, gap, octave, peak, found)
     for x in range(rival.size):
         a, b = rival[x], least[x]
@@ -377,7 +380,7 @@ def describe_interpolated(
     """Compute height, scores and all-in-focus grey of peaks of three points, one row at a time to stay in cache."""
     least, table, points = spots.rivals.least, spots.table, spots.points
     for y in range(curves.peak.shape[0]):
-        _score_row(curves, source, y, how.gap, spots, out)
+        _score_row(curves, source, y, how.gap, 0, spots, out)
         if how.blend:
             gather_blended(curves, y, least, z_um, how, table, points)
         else:
@@ -400,7 +403,7 @@ def describe_centred(
 ) -> None:
     """Compute the same of centred peaks, and the noise of their heights."""
     for y in range(curves.peak.shape[0]):
-        _score_row(curves, source, y, gap, spots, out)
+        _score_row(curves, source, y, gap, 1 << spots.table.bits, spots, out)
         peak, mean_level, leverage_um = curves.peak[y], spots.mean_level, spots.leverage_um
         centre_row(curves.levels, peak, y, z_um, window, spots.modulation, out.z_um[y], mean_level, leverage_um)
         _propagate_noise(noise, out.all_in_focus[y], spots, out.noise_um[y], out.dip[y])
@@ -408,9 +411,11 @@ def describe_centred(
 
 
 @inlined_part
-def _score_row(curves: FocusCurves, source: StackSource, y: Int, gap: Int, spots: PeakScratch, out: PeakScores) -> None:
+def _score_row(
+    curves: FocusCurves, source: StackSource, y: Int, gap: Int, octave: Int, spots: PeakScratch, out: PeakScores
+) -> None:
     """Compute what does not depend on the kind of the peak: scores and all-in-focus grey of row y."""
-    find_rivals(curves, y, gap, 1 << spots.table.bits, spots.rivals)
+    find_rivals(curves, y, gap, octave, spots.rivals)
     _score(curves, y, gap, spots.table, spots.rivals, out)
     row = source.top + y
     for x in range(curves.peak.shape[1]):
