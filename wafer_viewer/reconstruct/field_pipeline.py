@@ -143,7 +143,7 @@ def reconstruct_from_peaks(
     corrected = correct_edges(field, gated, threads, silhouette)
     progress(EDGES_SHARE)
     cleaned = clean_heights(field, corrected)
-    height_map = assemble(field, corrected, cleaned)
+    height_map = assemble(field, corrected, cleaned, threads)
     progress(1.0)
     return ReconstructedField(corrected, height_map)
 
@@ -312,11 +312,13 @@ def _refused_heights(corrected: CorrectedPeaks, origin: NDArray[np.uint8]) -> Re
 # ---------------------------------------------------------------------------------------------------------- height map
 
 
-def assemble(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights) -> HeightMap:
+def assemble(
+    field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights, threads: int | None = None
+) -> HeightMap:
     """Return the height map with its layers, position and provenance."""
     stack, peaks = field.stack, corrected.gated.peaks
     health, jitter_note = frame_health(field, cleaned.z_raw_um)
-    picture = field.frames.as_stored_counts(read_picture(field, corrected, cleaned))
+    picture = field.frames.as_stored_counts(read_picture(field, corrected, cleaned, threads))
     return HeightMap(
         z_um=cleaned.z_um,
         z_raw_um=cleaned.z_raw_um,
@@ -371,9 +373,11 @@ def uncertainty(
     return add_gaps(u_um, cleaned.z_raw_um, frame_gaps(field.frames.z_um, _depth_um(field)))
 
 
-def read_picture(field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights) -> Image:
+def read_picture(
+    field: PreparedField, corrected: CorrectedPeaks, cleaned: CleanedHeights, threads: int | None = None
+) -> Image:
     """Return the all-in-focus image, read at the cleaned heights."""
-    fit = FrameFit.of(field.frames, float(field.tuned.recipe.focus_width_um))
+    fit = FrameFit.of(field.frames, float(field.tuned.recipe.focus_width_um), threads)
     measured = cleaned.origin < UNMEASURED_FROM
     walls, min_contrast = corrected.edges is not None, field.tuned.gate.min_contrast
     return all_in_focus(corrected.gated.peaks, cleaned.z_um, measured, walls, min_contrast, fit)

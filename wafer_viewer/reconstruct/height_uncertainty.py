@@ -125,13 +125,13 @@ def _profile(z_um: Floats, bin_um: float, n_bins: int, depth_um: float) -> Float
     low, high = np.percentile(height, (2, 98))
     if high - low < Z_JITTER.least_depths * depth_um:
         return None
-    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    keep = np.ones(len(x), np.bool_)
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    keep, weighted = np.ones(len(x), np.bool_), np.empty_like(design)
     fitted, residual, spread = height, height, np.inf
     for _ in range(3):
-        used = design[keep]
-        coefficients = np.linalg.lstsq(used.T @ used, used.T @ height[keep], rcond=None)[0]
-        fitted = design @ coefficients
+        np.multiply(design, keep, out=weighted)
+        coefficients = np.linalg.lstsq(weighted @ design.T, weighted @ height, rcond=None)[0]
+        fitted = coefficients @ design
         residual = height - fitted
         spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         keep = np.abs(residual) <= 4 * spread

@@ -15,6 +15,7 @@ Heights do not change.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -33,8 +34,9 @@ from wafer_viewer.numerics.jit import (
     inline_kernel,
     lean_kernel,
 )
+from wafer_viewer.reconstruct.focus.focus_volume import on_threads
 from wafer_viewer.reconstruct.focus.peak import Peaks
-from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, developed, stripes
+from wafer_viewer.reconstruct.frame_blocks import Frames, StackSource, StackWindow, developed, stripes
 
 Floats = NDArray[np.float32]
 
@@ -84,23 +86,31 @@ _PLACES = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFit:
-    """Reading of pixels between the frames of a field, by local parabolas about `steps` frames to each side."""
+    """Reading of pixels between the frames of a field, by local parabolas about `steps` frames to each side.
+
+    threads: all cores if None.
+    """
 
     frames: Frames
     steps: float
+    threads: int | None = None
 
     @classmethod
-    def of(cls, frames: Frames, focus_width_um: float) -> FrameFit:
+    def of(cls, frames: Frames, focus_width_um: float, threads: int | None = None) -> FrameFit:
         """Return the fit for focus curves of a full width at half maximum."""
         steps = focus_width_um / frames.step_um
-        return cls(frames, float(np.clip(steps, PICTURE.least_steps, PICTURE.most_steps)))
+        return cls(frames, float(np.clip(steps, PICTURE.least_steps, PICTURE.most_steps)), threads)
 
     def read(self, z_um: Floats, wanted: NDArray[np.bool_], out: NDArray[Any]) -> None:
         """Write the grey of the `wanted` pixels at z_um to `out`, all arrays [row, col]."""
         weights, white = _fit_weights(self.steps), np.float32(np.iinfo(self.frames.dtype).max)
+
+        def read_parts(todo: Iterator[StackWindow]) -> None:
+            for (rows, *_), block in developed(self.frames, todo, 0):
+                _read(block, z_um[rows], wanted[rows], self.frames.z_um, weights, white, out[rows])
+
         parts = [part for part in stripes(self.frames.shape, _ROWS) if wanted[part.rows].any()]
-        for (rows, *_), block in developed(self.frames, parts, 0):
-            _read(block, z_um[rows], wanted[rows], self.frames.z_um, weights, white, out[rows])
+        on_threads(read_parts, parts, self.threads)
 
 
 def all_in_focus(
