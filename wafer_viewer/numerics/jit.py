@@ -147,6 +147,7 @@ Int32s: TypeAlias = NDArray[np.int32]
 Int64s: TypeAlias = NDArray[np.int64]
 UInt8s: TypeAlias = NDArray[np.uint8]
 UInt16s: TypeAlias = NDArray[np.uint16]
+UInt64s: TypeAlias = NDArray[np.uint64]
 Ints: TypeAlias = NDArray[Any]
 """int32 if the sums of 8-bit grey fit, int64 for 16-bit grey."""
 Greys: TypeAlias = NDArray[Any]

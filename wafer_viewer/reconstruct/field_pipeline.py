@@ -24,6 +24,7 @@ from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.frame_health import FrameHealth, flicker_u_um, interpolation_u_um, jitter_u_um
 from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Origin, Provenance, RefusedHeights
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.numerics.filters.regions import blanked
 from wafer_viewer.reconstruct.auto_tuning import TunedRecipe, tune_recipe
 from wafer_viewer.reconstruct.cleaning.clean import clean, mark_filled, settle_cleaning
 from wafer_viewer.reconstruct.focus.all_in_focus import FrameFit, all_in_focus, membrane
@@ -240,7 +241,7 @@ class CorrectedPeaks:
     @property
     def measured_um(self) -> NDArray[np.float32]:
         """Heights of the measured pixels, NaN elsewhere."""
-        return np.where(self.origin == Origin.MEASURED, self.z_um, np.float32(np.nan))
+        return blanked(self.z_um, self.origin != Origin.MEASURED)
 
 
 def correct_edges(
@@ -278,7 +279,7 @@ def clean_heights(field: PreparedField, corrected: CorrectedPeaks) -> CleanedHei
     if tuned.edges is not None:
         side_is_known = np.zeros(origin.shape, np.bool_) if edges is None else edges.side != EdgeSide.AWAY
     if edges is not None:
-        bleeding_um = np.where(origin == Origin.BLEEDING_EDGE, corrected.searched_um, np.float32(np.nan))
+        bleeding_um = blanked(corrected.searched_um, origin != Origin.BLEEDING_EDGE)
     found = clean(
         corrected.measured_um,
         field.stack.pixel_um,
@@ -288,8 +289,8 @@ def clean_heights(field: PreparedField, corrected: CorrectedPeaks) -> CleanedHei
         bleeding_um,
         corrected.found_along,
     )
-    origin = np.where(found.outlier, np.uint8(Origin.OUTLIER), origin)
-    origin = np.where(found.step_edge, np.uint8(Origin.STEP_EDGE), origin)
+    removed = found.outlier * np.uint8(Origin.OUTLIER) + found.step_edge * np.uint8(Origin.STEP_EDGE)
+    origin = origin + removed  # of measured pixels, whose code is 0
     refused = _refused_heights(corrected, origin)
     return CleanedHeights(found.z_um, found.raw_um, mark_filled(origin, found.z_um), refused)
 
@@ -366,7 +367,7 @@ def uncertainty(
         return None
     noise_um = corrected.gated.peaks.noise_um
     if corrected.edges is not None:
-        noise_um = np.where(corrected.found_along, np.float32(np.nan), noise_um)
+        noise_um = blanked(noise_um, corrected.found_along)
     passes = focus_measures()[search.measure].passes
     between_um = interpolation_u_um(recipe.peak, field.frames.step_um, float(recipe.focus_width_um))
     u_um = uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)

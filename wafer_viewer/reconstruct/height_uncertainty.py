@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.frame_health import FrameHealth
 from wafer_viewer.numerics.jit import Float32s, Int, Real, inline_kernel, lean_kernel
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, median
 
 # ------------------------------------------------------------------------------------------------------------- z jitter
 
@@ -133,7 +133,7 @@ def _profile(z_um: Floats, bin_um: float, n_bins: int, depth_um: float) -> Float
         coefficients = np.linalg.lstsq(weighted @ design.T, weighted @ height, rcond=None)[0]
         fitted = coefficients @ design
         residual = height - fitted
-        spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
+        spread = MAD_TO_SIGMA * median(np.abs(residual))
         keep = np.abs(residual) <= 4 * spread
     if spread > Z_JITTER.most_residual * depth_um:
         return None

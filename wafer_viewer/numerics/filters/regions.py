@@ -1,4 +1,4 @@
-"""Connected regions of a map, and counts of its codes.
+"""Connected regions of a map, masks, and counts of its codes.
 
 8-connectivity; NaN is above no threshold.
 """
@@ -19,6 +19,24 @@ def component_sizes(z: Float32s, max_step: Real) -> Int32s:
     sizes = np.empty(z.shape, np.int32)
     _join_alike(np.ascontiguousarray(z), np.float32(max_step), runs.reshape(z.shape), root, count, sizes)
     return sizes
+
+
+def blanked(z: Float32s, mask: Bools) -> Float32s:
+    """Return a copy of a map with NaN where the mask is True, in a fraction of the time of `numpy.where`."""
+    out = np.array(z, np.float32, order="C")
+    blank(out, mask)
+    return out
+
+
+def blank(z: Float32s, mask: Bools) -> None:
+    """Set a contiguous map to NaN where the mask is True."""
+    _blank(z.ravel(), np.ascontiguousarray(mask).ravel())
+
+
+@lean_kernel
+def _blank(z: Float32s, mask: Bools) -> None:
+    for i in range(z.size):
+        z[i] = np.float32(np.nan) if mask[i] else z[i]
 
 
 def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:

@@ -38,9 +38,9 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows, local_planes
-from wafer_viewer.numerics.filters.regions import border_components, component_sizes, narrow_parts
+from wafer_viewer.numerics.filters.regions import blank, blanked, border_components, component_sizes, narrow_parts
 from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, median
 from wafer_viewer.numerics.open3d_library import load_open3d
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
@@ -97,7 +97,7 @@ def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> 
     floor_um, window = float(recipe.outliers.floor_um), int(recipe.window)
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
     found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
-    remaining = np.where(found, np.float32(np.nan), smoothed_um)
+    remaining = blanked(smoothed_um, found)
     found |= _islands(remaining, component_sizes(remaining, floor_um), window)
     return found & np.isfinite(raw_um)
 
@@ -119,7 +119,7 @@ def _lone_islands(z_um: Map, tolerance_um: float, window: int, found_along: Foun
     from the wall, and where nothing is left of it they may be those of the outline: tests/truth/unseen.py.
     """
     sizes = component_sizes(z_um, tolerance_um)
-    along = np.where(found_along, z_um, np.float32(np.nan))
+    along = blanked(z_um, ~found_along)
     alone = np.isfinite(along) & (component_sizes(along, tolerance_um) == sizes) if found_along.any() else found_along
     return (_islands(z_um, sizes, window) & ~found_along) | alone
 
@@ -131,7 +131,7 @@ def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Fo
 def _moved(raw_um: Map, smoothed_um: Map, floor_um: float) -> Found:
     moved_um = np.abs(smoothed_um - raw_um)
     some = moved_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]
-    usual_um = MAD_TO_SIGMA * float(np.median(some[np.isfinite(some)])) if np.isfinite(some).any() else 0.0
+    usual_um = MAD_TO_SIGMA * median(some[np.isfinite(some)]) if np.isfinite(some).any() else 0.0
     return moved_um > max(_MOVED_FLOORS * floor_um, _MOVED_DEVIATIONS * usual_um)
 
 
@@ -251,8 +251,9 @@ def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float3
     there.
     """
     cells = _range_cells(window)
-    high = highest(_of_cells(np.where(np.isnan(z_um), -_BEYOND_UM, z_um), np.maximum), cells)
-    low = lowest(_of_cells(np.where(np.isnan(z_um), _BEYOND_UM, z_um), np.minimum), cells)
+    top_um, bottom_um = (_of_cells(z_um, choose) for choose in (np.fmax, np.fmin))
+    high = highest(np.where(np.isnan(top_um), -_BEYOND_UM, top_um), cells)
+    low = lowest(np.where(np.isnan(bottom_um), _BEYOND_UM, bottom_um), cells)
     return doubled(_full_windows(high - low, cells // 2), z_um.shape)
 
 
@@ -346,22 +347,22 @@ def clean(
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
-    raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
+    raw, step_edge = blanked(z_um, outlier), np.zeros(z_um.shape, np.bool_)
     if side_is_known is not None:
         step_edge = _step_edges(raw, side_is_known, bleeding_um, pixel_um, recipe, resolution_um)
-        raw[step_edge] = np.nan
+        blank(raw, step_edge)
         tolerance_um = OUTLIER_FLOOR_STEPS * resolution_um
         sizes = component_sizes(raw, tolerance_um)
         if step_edge.any():  # a sliver of a slope caused by bleeding light may look flat by itself
             outlier |= _islands(raw, sizes, int(recipe.window)) & ~side_is_known
-            raw[outlier] = np.nan
+            blank(raw, outlier)
         if recipe.outliers.mode == "lattice":
             exempt = np.zeros(z_um.shape, np.bool_) if found_along is None else found_along
             outlier |= _unsupported(raw, sizes, pixel_um, recipe, resolution_um) & ~exempt
-            raw[outlier] = np.nan
+            blank(raw, outlier)
             outlier |= _lone_islands(raw, tolerance_um, int(recipe.window), exempt)
-            raw[outlier] = np.nan
-    smoothed[outlier | step_edge] = np.nan
+            blank(raw, outlier)
+    blank(smoothed, outlier | step_edge)
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
 
 

@@ -33,7 +33,7 @@ from wafer_viewer.numerics.filters.denoising import (
 )
 from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
 from wafer_viewer.numerics.jit import Float32s, Real, lean_kernel
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, median
 
 NOISE_LAG_PX = 15
 """Distance at which errors are nearly independent: they share little of a focus window."""
@@ -80,7 +80,7 @@ def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray
 def height_noise_um(z_um: Map) -> float:
     """Return the robust standard deviation of height errors from second differences, insensitive to slopes."""
     bends = bends_of(z_um)
-    return MAD_TO_SIGMA * float(np.median(np.abs(bends))) if bends.size else 0.0
+    return MAD_TO_SIGMA * median(np.abs(bends)) if bends.size else 0.0
 
 
 def bends_of(z_um: Map) -> NDArray[np.float32]:
@@ -164,7 +164,7 @@ def _limit_about_median(padded: Map, z_um: Map, levy: Levy, resolution_um: float
         return np.float32(np.inf)
     rows, cols = rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX
     away = np.abs(z_um[rows, cols] - medians_at(padded, rows, cols))
-    return np.float32(_limit_um(MAD_TO_SIGMA * float(np.median(away)), levy, resolution_um))
+    return np.float32(_limit_um(MAD_TO_SIGMA * median(away), levy, resolution_um))
 
 
 def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
@@ -209,7 +209,7 @@ def _with_curvature(reference: Map, rounds: Sequence[Map], limit_um: float) -> M
     valid = np.isfinite(random)
     if not valid.any():
         return smoothed
-    limit = (CURVATURE.significance * MAD_TO_SIGMA * float(np.median(random[valid]))) ** 2
+    limit = (CURVATURE.significance * MAD_TO_SIGMA * median(random[valid])) ** 2
     share: Map | None = None
     for _ in range(CURVATURE.passes):
         removed = np.empty(smoothed.shape, np.float32)

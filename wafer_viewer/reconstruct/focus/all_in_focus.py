@@ -31,6 +31,7 @@ from wafer_viewer.numerics.jit import (
     Float64s,
     Greys,
     Real,
+    UInt64s,
     inline_kernel,
     lean_kernel,
 )
@@ -106,8 +107,9 @@ class FrameFit:
         weights, white = _fit_weights(self.steps), np.float32(np.iinfo(self.frames.dtype).max)
 
         def read_parts(todo: Iterator[StackWindow]) -> None:
+            starts = np.empty(self.frames.n_frames + weights.shape[1], np.uint64)
             for (rows, *_), block in developed(self.frames, todo, 0):
-                _read(block, z_um[rows], wanted[rows], self.frames.z_um, weights, white, out[rows])
+                _read(block, z_um[rows], wanted[rows], self.frames.z_um, weights, white, starts, out[rows])
 
         parts = [part for part in stripes(self.frames.shape, _ROWS) if wanted[part.rows].any()]
         on_threads(read_parts, parts, self.threads)
@@ -204,33 +206,34 @@ def _read(
     frame_um: Float64s,
     weights: Float32s,
     white: Real,
+    starts: UInt64s,
     out: Greys,
 ) -> None:
-    """Fill the wanted pixels of some rows."""
+    """Fill the wanted pixels of some rows; starts: work space, one place for each frame and tap."""
     images, slots, last = source.images, source.slots, frame_um.size - 1
-    n_taps = weights.shape[1]
-    first = 1 - n_taps // 2
+    n_rows, n_cols = images.shape[1:]
+    pixels, n_taps, first = images.reshape(-1), weights.shape[1], 1 - weights.shape[1] // 2
+    per_um = (last - 1) / (frame_um[last] - frame_um[0])
     for y in range(out.shape[0]):
-        row = source.top + y
+        for n in range(starts.size):  # where the row begins in each frame; beyond the sweep the last frames repeat
+            k = min(max(n + first, 0), last)
+            starts[n] = (slots[k] * n_rows + source.top + y) * n_cols + source.left
         for x in range(out.shape[1]):
-            if not wanted[y, x]:
-                continue
-            low = _frame_below(z_um[y, x], frame_um)
-            share = (z_um[y, x] - frame_um[low]) / (frame_um[low + 1] - frame_um[low])
-            fit = weights[int(_PLACES * min(max(share, 0.0), 1.0) + 0.5)]
-            grey = np.float32(0.5)
-            for n in range(n_taps):
-                k = min(max(low + first + n, 0), last)
-                grey += fit[n] * np.float32(images[slots[k], row, source.left + x])
-            out[y, x] = np.int64(min(max(grey, np.float32(0)), white))
+            if wanted[y, x]:
+                low = _frame_below(z_um[y, x], frame_um, per_um)
+                share = (z_um[y, x] - frame_um[low]) / (frame_um[low + 1] - frame_um[low])
+                fit = weights[int(_PLACES * min(max(share, 0.0), 1.0) + 0.5)]
+                grey = np.float32(0.5)
+                for n in range(n_taps):
+                    grey += fit[n] * np.float32(pixels[starts[low + n] + np.uint64(x)])
+                out[y, x] = np.int64(min(max(grey, np.float32(0)), white))
 
 
 @inline_kernel
-def _frame_below(z_um: Real, frame_um: Float64s) -> int:
-    """Return the last frame below z that has another one above it."""
+def _frame_below(z_um: Real, frame_um: Float64s, per_um: Real) -> int:
+    """Return the last frame below z that has another one above it; per_um: mean number of frames."""
     last = frame_um.size - 2
-    share = (z_um - frame_um[0]) / (frame_um[last + 1] - frame_um[0])
-    k = int(min(max(share, 0.0), 1.0) * last)
+    k = int(min(max((z_um - frame_um[0]) * per_um, 0.0), np.float64(last)))
     while k > 0 and z_um < frame_um[k]:
         k -= 1
     while k < last and z_um >= frame_um[k + 1]:

@@ -25,6 +25,7 @@ from wafer_viewer.numerics.filters.sliding_filters import repeated
 from wafer_viewer.numerics.jit import (
     Int,
     Int32s,
+    Ints,
     UInt16s,
     aligned,
     inlined_part,
@@ -298,7 +299,7 @@ class WideLevels:
 
     def __init__(self, coarse: NDArray[np.uint16], cells: int) -> None:
         n_frames, n_rows, cols = coarse.shape
-        self._coarse, self._cells, self._line = coarse, cells, aligned((cols + cells - 1,), np.int32)
+        self._coarse, self._cells, self._lines = coarse, cells, aligned((2, cols + cells - 1), np.int32)
         self.curves = [FocusCurves.make(n_frames, (rows_in(rows), cols)) for rows in row_parts(n_rows, _WIDE_ROWS)]
         self._new, self._none = FocusCurves.make(0, self.curves[0].best.shape), np.zeros_like(self.curves[0].best)
 
@@ -308,7 +309,7 @@ class WideLevels:
             n_rows = len(curves.best)
             levels, (_, best, peak) = curves.levels[first:stop], self._new
             new, none = FocusCurves(levels, best[:n_rows], peak[:n_rows]), self._none[:n_rows]
-            _average_levels(self._coarse[first:stop], self._cells, n * _WIDE_ROWS, self._line, new)
+            _average_levels(self._coarse[first:stop], self._cells, n * _WIDE_ROWS, self._lines, new)
             include_frames(new.best, new.peak, none, first, curves.best, curves.peak, none)
 
 
@@ -352,14 +353,14 @@ def wide_heights(
     cells, z_um = cells or wide_cells(search.window), np.asarray(z_um, np.float64)
     wide = replace(search, floored=False)
     spots = PeakScratch.make(cols, focus_kernels(search.measure).table(peaks.all_in_focus.dtype))
-    line = aligned((cols + cells - 1,), np.int32)
+    lines = aligned((2, cols + cells - 1), np.int32)
     found = Peaks.empty((n_rows, cols), peaks.all_in_focus.dtype)
     room = FocusCurves.make(0 if known else n_frames, (min(n_rows, _WIDE_ROWS), cols))
     for n, rows in enumerate(row_parts(n_rows, _WIDE_ROWS)):
         part = found.rows(rows)
         curves = known.curves[n] if known else room.cut(rows_in(rows))
         if known is None:
-            _average_levels(peaks.coarse, cells, rows.start, line, curves)
+            _average_levels(peaks.coarse, cells, rows.start, lines, curves)
         find_peaks(_no_grey(n_frames, part), z_um, wide, curves, spots, part)
     return repeated(found.z_um, COARSE_PX, peaks.z_um.shape)
 
@@ -371,20 +372,20 @@ def _no_grey(n_frames: int, part: Peaks) -> StackSource:
 
 
 @lean_kernel
-def _average_levels(coarse: UInt16s, cells: Int, first: Int, line: Int32s, curves: FocusCurves) -> None:
+def _average_levels(coarse: UInt16s, cells: Int, first: Int, lines: Int32s, curves: FocusCurves) -> None:
     """Fill curves with the averages of coarse levels, from row `first` on."""
     curves.best[:] = 0
     curves.peak[:] = 0
     for k in range(coarse.shape[0]):
         for y in range(curves.best.shape[0]):
-            _average(coarse, k, first + y, cells, line, curves.levels[k, y])
+            _average(coarse, k, first + y, cells, lines, curves.levels[k, y])
             note(curves.levels[k, y], np.uint16(k), curves.best[y], curves.peak[y])
 
 
 @inlined_part
-def _average(coarse: UInt16s, k: Int, y: Int, cells: Int, line: Int32s, level: UInt16s) -> None:
+def _average(coarse: UInt16s, k: Int, y: Int, cells: Int, lines: Int32s, level: UInt16s) -> None:
     """Compute a row of means over cells x cells levels: column sums with repeated borders, then along the row."""
-    half, last = cells // 2, coarse.shape[1] - 1
+    half, last, line, sums = cells // 2, coarse.shape[1] - 1, lines[0], lines[1, : level.size]
     columns = line[half : half + level.size]
     columns[:] = 0
     for d in range(cells):
@@ -392,20 +393,20 @@ def _average(coarse: UInt16s, k: Int, y: Int, cells: Int, line: Int32s, level: U
     for x in range(half):
         line[x] = columns[0]
         line[half + level.size + x] = columns[level.size - 1]
-    _mean_along(line, cells, level)
+    sums[:] = 0
+    for d in range(cells):
+        _add(line[d:], sums)
+    _mean(sums, cells, level)
 
 
 @lean_part
-def _add(level: UInt16s, columns: Int32s) -> None:
-    for x in range(columns.size):
-        columns[x] = np.int32(columns[x] + np.int32(level[x]))
+def _add(values: Ints, sums: Int32s) -> None:
+    for x in range(sums.size):
+        sums[x] = np.int32(sums[x] + np.int32(values[x]))
 
 
 @lean_part
-def _mean_along(line: Int32s, cells: Int, level: UInt16s) -> None:
+def _mean(sums: Int32s, cells: Int, level: UInt16s) -> None:
     per_cell, half = np.float32(1 / cells**2), np.float32(0.5)
     for x in range(level.size):
-        total = np.int32(0)
-        for d in range(cells):
-            total = np.int32(total + line[x + d])
-        level[x] = np.int32(np.float32(total) * per_cell + half)
+        level[x] = np.int32(np.float32(sums[x]) * per_cell + half)
