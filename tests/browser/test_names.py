@@ -21,7 +21,7 @@ UNNAMED = """() => [...document.querySelectorAll('input:not([type=hidden]), text
     .filter(at => !(at.getAttribute('aria-label') || at.getAttribute('aria-labelledby') || at.labels?.length))
     .map(at => at.outerHTML.slice(0, 200))"""
 PLAN = (
-    *("Name", "Lot", "Wafer", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
+    *("Name", "Lot", "Wafer id", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
     *("From, to, µm", "Step, µm", "Exposures, µs"),
 )
 

@@ -14,9 +14,8 @@ from wafer_viewer.draw.number_format import duration, number, share, size, with_
 from wafer_viewer.draw.surface.display_style import eight_bit
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.panels import VerdictSection, awaited
+from wafer_viewer.gui.page.panels import VerdictSection, awaited, unfold
 from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
-from wafer_viewer.gui.plan.align_section import unfold
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
@@ -57,7 +56,7 @@ class AcquirePanel:
         self._verdict.show(snapshot)
         few = _few(snapshot, view)
         self._more.show(
-            Markup('<div class="wv-more-of">{}</div>').format(unfold(not view.everything))
+            Markup('<div class="wv-more-of">{}</div>').format(unfold(more=not view.everything))
             if _released(snapshot)
             else Markup()
         )

@@ -15,11 +15,22 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.quantity import Quantity, Word
-from wafer_viewer.model.spec import Positive, Spec, Within
+from wafer_viewer.model.spec import Positive, Setting, Spec, Within
 from wafer_viewer.model.surface.recipe import Recipe
 
 Compression = Literal["none", "zstd", "deflate", "jpeg2000"]
 """Lossless compression of the frames of a dataset."""
+_COMPRESSION = Setting(
+    "Frames on disk",
+    "Lossless, field by field after reconstruction: zstd is the fastest to read, JPEG 2000 the smallest and slowest, "
+    "deflate opens in most programs",
+    titles={
+        "none": "Uncompressed",
+        "zstd": "Compressed, zstd",
+        "deflate": "Compressed, deflate",
+        "jpeg2000": "Compressed, JPEG 2000",
+    },
+)
 
 
 class Job(Spec, frozen=True, kw_only=True):
@@ -32,8 +43,8 @@ class Job(Spec, frozen=True, kw_only=True):
     reconstruction.
     """
 
-    product: str = ""
-    revision: str = ""
+    product: Annotated[str, Setting("Product", "Product on the wafer, by which an operator chooses the job")] = ""
+    revision: Annotated[str, Setting("Revision", "Of the job; a released revision cannot be changed")] = ""
     sample: Sample = Sample()
     grid: FieldGrid | None = None
     fields: tuple[Field, ...] = ()
@@ -51,7 +62,7 @@ class Job(Spec, frozen=True, kw_only=True):
     features: tuple[Feature, ...] = ()
     dies: Dies | None = None
     defect_sensitivity: Positive = 5.0
-    compression: Compression = "none"
+    compression: Annotated[Compression, _COMPRESSION] = "none"
     released: bool = False
 
     def __post_init__(self) -> None:

@@ -7,13 +7,15 @@ sentence that names field, value and limit.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
 import re
 import tomllib
 import types
 import typing
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -204,10 +206,80 @@ def _without_none(data: Any) -> Any:
     return data
 
 
-def limit_of(kind: type[Spec], name: str) -> Within | None:
-    """Return the limit in the annotation of a spec's field, or None."""
-    hint = typing.get_type_hints(kind, include_extras=True)[name]
-    return next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Within)), None)
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Label of a field that a person sets, in its annotation.
+
+    title: with the unit behind a comma; about: sentence of the tooltip, without the limit; empty: meaning of an empty
+    field; titles: of the values of a choice; decimals and step: of a number.
+    """
+
+    title: str
+    about: str
+    empty: str = ""
+    titles: Mapping[Any, str] = field(default_factory=dict[Any, str])
+    decimals: int = 0
+    step: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class SettingField:
+    """A field that a person sets: its label, its type without the annotation, and its limit."""
+
+    setting: Setting
+    kind: Any
+    limit: Within | None
+
+    @property
+    def hint(self) -> str:
+        """Tooltip: the sentence, and the limit if there is one."""
+        return f"{self.setting.about}; {self.limit}" if self.limit is not None else self.setting.about
+
+
+@cache
+def settings_of(kind: type[Spec]) -> dict[str, SettingField]:
+    """Return the labelled fields of a spec and, by a path with dots, those of the specs in it."""
+    found: dict[str, SettingField] = {}
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        marks = _marks(hint)
+        plain = _plain_type(hint)
+        if (setting := next((mark for mark in marks if isinstance(mark, Setting)), None)) is not None:
+            limit = next((mark for mark in marks if isinstance(mark, Within)), None)
+            found[name] = SettingField(setting, plain, limit)
+        for part in typing.get_args(plain) or (plain,):
+            if isinstance(part, type) and issubclass(part, Spec):
+                found |= {f"{name}.{inner}": one for inner, one in settings_of(part).items()}
+    return found
+
+
+def value_at(spec: Spec, path: str) -> Any:
+    """Return the value of a field by its path with dots."""
+    return functools.reduce(getattr, path.split("."), spec)
+
+
+def replace_at(spec: R, path: str, value: Any) -> R:
+    """Return a copy of a spec with the field at a path with dots changed."""
+    outer, _, inner = path.partition(".")
+    return replace(spec, **{outer: replace_at(getattr(spec, outer), inner, value) if inner else value})
+
+
+def _marks(hint: Any) -> tuple[Any, ...]:
+    """Return the metadata of an annotation, that of the members of a union last."""
+    own = getattr(hint, "__metadata__", ())
+    plain = hint.__origin__ if typing.get_origin(hint) is Annotated else hint
+    members = typing.get_args(plain) if _is_union(plain) else ()
+    return (*own, *(mark for member in members for mark in getattr(member, "__metadata__", ())))
+
+
+def _plain_type(hint: Any) -> Any:
+    """Return a type without metadata, also that of the members of a union."""
+    if typing.get_origin(hint) is Annotated:
+        return _plain_type(hint.__origin__)
+    return typing.Union[tuple(map(_plain_type, typing.get_args(hint)))] if _is_union(hint) else hint  # noqa: UP007
+
+
+def _is_union(hint: Any) -> bool:
+    return typing.get_origin(hint) in (typing.Union, types.UnionType)
 
 
 Check = typing.Callable[[Any], str | None]

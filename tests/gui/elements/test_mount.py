@@ -18,10 +18,12 @@ from wafer_viewer.gui.elements.elements import (
     Checkbox,
     Dropdown,
     Element,
+    Fold,
     Html,
     Number,
     NumberOrEmpty,
     NumberPair,
+    Slider,
     Stack,
     Text,
     Toggle,
@@ -125,6 +127,24 @@ def test_stacks_with_keys_have_widgets_of_their_own_at_the_same_place(mount: Mou
     assert widgets(mount) == [width, keep]
 
 
+def test_fold_holds_its_elements_is_folded_at_first_and_hides_with_them(mount: Mount):
+    def of(*inside: Element | None) -> list[Element]:
+        return [Button("Above", nothing), Fold("For operators", inside), Button("Below", nothing)]
+
+    mount.show(of(Button("Release", nothing), None))
+    (folder,) = mount._folds.values()
+    (release,) = folder._children.values()
+    assert (folder.expand_by_default, release.label, labels(mount)) == (
+        False,
+        "Release",
+        ["Above", "For operators", "Below"],
+    )
+    mount.show(of(Button("Released", nothing), Button("Copy", nothing)))
+    assert [one.label for one in folder._children.values()] == ["Released", "Copy"]
+    mount.show([Button("Above", nothing), None, Button("Below", nothing)])
+    assert (folder.visible, release.visible, labels(mount)) == (False, False, ["Above", "Below"])
+
+
 def test_none_hides_the_panel(mount: Mount):
     mount.show([Button("Keep", nothing)])
     mount.show(None)
@@ -166,12 +186,13 @@ def test_a_failure_has_the_title_of_the_element_of_its_stack_or_of_the_step(moun
         (Checkbox, True, True),
         (Number, 4.0, 4.0),
         (NumberPair, (1.0, 2.5), (1.0, 2.5)),
+        (Slider, 0.5, 0.5),
         (NumberOrEmpty, "2,5", 2.5),
         (NumberOrEmpty, "", None),
     ],
 )
 def test_what_a_person_sets_comes_as_the_value_of_the_element(mount: Mount, element: Any, typed: Any, got: Any):
-    first = {Text: "", Checkbox: False, Number: 0.0, NumberPair: (0.0, 0.0), NumberOrEmpty: 1.0}[element]
+    first = {Text: "", Checkbox: False, Number: 0.0, NumberPair: (0.0, 0.0), Slider: 0.1, NumberOrEmpty: 1.0}[element]
     put: list[Any] = []
     mount.show([element("Width", first, put.append, "")])
     set_by_a_person(widgets(mount)[0], typed)

@@ -10,9 +10,9 @@ import pytest
 import wafer_viewer.gui
 from wafer_viewer.gui.page.dialogs import BUTTONS, FIELDS, titles_of
 from wafer_viewer.gui.widgets.controls import Command
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import FocusSweep
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.spec import limit_of
+from wafer_viewer.model.spec import settings_of
 
 FOLDER = Path(wafer_viewer.gui.__file__).parent
 INPUT = re.compile(r'add_(?:number|vector2|slider|multi_slider|dropdown|checkbox|text)\(\s*"([^"{]+)"([^\n]*)')
@@ -28,9 +28,8 @@ def test_every_input_says_what_it_is():
 
 
 def test_limits_are_those_that_the_specs_check():
-    assert str(limit_of(FocusSweep, "z_step_um")) == "over 0"
-    assert limit_of(FieldGrid, "x0_um") is None
-    assert FIELDS["Step, µm"].startswith("From frame to frame along z, µm; over 0")
+    assert settings_of(FocusSweep)["z_step_um"].hint.endswith("; over 0")
+    assert FIELDS["z step, µm"].endswith("; over 0")
     with pytest.raises(PlanError, match="over 0"):
         FocusSweep(z_step_um=0, n_frames=5)
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from markupsafe import Markup
 
+from wafer_viewer.gui.widgets.callbacks import COMMIT_S
 from wafer_viewer.model.roles import Action
 
 ButtonStyle = Literal["plain", "outlined", "leading"]
@@ -43,6 +44,7 @@ class Button(Element):
 
     commands: True if it needs control, because it moves the rig or changes the plan, the dataset or the results;
     action: what it does, if that needs a role. failed: title of a failure; without one that of its stack or step.
+    height_px: of a leading one.
     """
 
     label: str
@@ -53,6 +55,7 @@ class Button(Element):
     commands: bool = False
     action: Action | None = None
     failed: str = ""
+    height_px: int = 44
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,8 @@ class Buttons(Element):
 class Input(Element):
     """Input of a person: `value` is that of the session or the view; `put` gets another one.
 
-    hint: tooltip, with what an empty field means. pause_s: rest in typing before `put`; None calls it at once.
+    hint: tooltip, with what an empty field means. commands, action: as of a button. pause_s: rest in typing before
+    `put`; None calls it at once.
     """
 
     label: str
@@ -76,8 +80,9 @@ class Input(Element):
     hint: str
     disabled: bool = False
     commands: bool = False
+    action: Action | None = None
     failed: str = ""
-    pause_s: ClassVar[float | None] = None
+    pause_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +101,7 @@ class Dropdown(Input):
 class Toggle(Input):
     """One of a few `options`, pairs of key and title, side by side."""
 
-    options: Sequence[tuple[str, str]] = ()
+    options: Sequence[tuple[Any, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +123,17 @@ class NumberPair(Input):
     """Two numbers."""
 
     step: float = 0.1
+    decimals: int | None = None
+    least: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Slider(Input):
+    """A number between two ends, by a slider."""
+
+    low: float = 0.0
+    high: float = 1.0
+    step: float = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +141,7 @@ class NumberOrEmpty(Input):
     """A number over `over`, or None while the field is empty."""
 
     over: float | None = None
-    pause_s: ClassVar[float | None] = 0.25
+    pause_s: float | None = COMMIT_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +154,14 @@ class Stack(Element):
     elements: Sequence[Element | None]
     side_by_side: bool = False
     failed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Fold(Element):
+    """Elements under a title that a person unfolds; they are folded at first."""
+
+    title: str
+    elements: Sequence[Element | None]
 
 
 Elements = Sequence[Element | None]

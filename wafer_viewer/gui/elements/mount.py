@@ -53,6 +53,7 @@ class Mount:
         self._gui, self._page, self._failed = gui, page, failed
         self._folder = gui.add_folder(None, visible=False)
         self._widgets: dict[Path, Widget] = {}
+        self._folds: dict[Path, Any] = {}
 
     def show(self, elements: el.Elements | None) -> None:
         """Show the elements; None hides the panel and leaves its widgets as they are."""
@@ -64,8 +65,10 @@ class Mount:
             self._widgets[path].hide()
         for path, placed in present.items():
             if path not in self._widgets:
-                with self._folder:
-                    self._widgets[path] = WIDGETS[type(placed.element)](self._gui, self._page, placed)
+                with self._folds.get(placed.fold, self._folder):
+                    self._widgets[path] = widget = WIDGETS[type(placed.element)](self._gui, self._page, placed)
+                if isinstance(widget, FoldWidget):
+                    self._folds[path] = widget.folder
             self._widgets[path].show(placed.element)
 
 
@@ -76,16 +79,19 @@ _DUO = el.Html(Markup('<div class="wv-duo"></div>'), padded=False)
 
 @dataclass(frozen=True, slots=True)
 class _Placed:
-    """An element with its path, its place in the order of the panel, and the title of a failure."""
+    """An element with its path, its place in the order of the panel, the title of a failure, and the fold it is in."""
 
     path: Path
     element: Any
     order: float
     failed: str
+    fold: Path = ()
 
 
-def _placed(stack: el.Stack, above: Path = (), first: float = 0.0, apart: float = 1.0) -> Iterator[_Placed]:
-    """Yield the elements of a stack and of all stacks in it."""
+def _placed(
+    stack: el.Stack, above: Path = (), first: float = 0.0, apart: float = 1.0, fold: Path = ()
+) -> Iterator[_Placed]:
+    """Yield the elements of a stack and of all stacks and folds in it."""
     elements = (_DUO, *stack.elements) if stack.side_by_side else stack.elements
     for place, element in enumerate(elements, 1):
         if element is None:
@@ -93,9 +99,12 @@ def _placed(stack: el.Stack, above: Path = (), first: float = 0.0, apart: float 
         path, order = (*above, place if element.key is None else (element.key,)), first + place * apart
         failed = getattr(element, "failed", "") or stack.failed
         if isinstance(element, el.Stack):
-            yield from _placed(replace(element, failed=failed), path, order, apart * _FINER)
-        else:
-            yield _Placed((*path, type(element)), element, order, failed)
+            yield from _placed(replace(element, failed=failed), path, order, apart * _FINER, fold)
+            continue
+        placed = _Placed((*path, type(element)), element, order, failed, fold)
+        yield placed
+        if isinstance(element, el.Fold):
+            yield from _placed(el.Stack(element.elements, failed=failed), path, fold=placed.path)
 
 
 class HtmlWidget:
@@ -113,6 +122,21 @@ class HtmlWidget:
         self._block.show("")
 
 
+class FoldWidget:
+    """Widget of `Fold`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self.folder = gui.add_folder(placed.element.title, order=placed.order, expand_by_default=False)
+
+    def show(self, element: el.Fold) -> None:
+        """Show the folder."""
+        set_prop(self.folder, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the folder with its contents."""
+        set_prop(self.folder, "visible", False)
+
+
 class ButtonWidget:
     """Widget of `Button`."""
 
@@ -123,9 +147,10 @@ class ButtonWidget:
         handle.on_click(guarded(page, placed.failed)(lambda _: self._element.act()))
         if element.commands:
             controlled(handle, element.action)
-        style = {"outlined": outlined_style, "leading": leading_style}.get(element.style)
-        if style is not None:
-            add_html(gui, style(handle), order)
+        if element.style == "outlined":
+            add_html(gui, outlined_style(handle), order)
+        elif element.style == "leading":
+            add_html(gui, leading_style(handle, element.height_px), order)
 
     def show(self, element: el.Button) -> None:
         """Set label and state, and the callback of the next press."""
@@ -190,7 +215,7 @@ class InputWidget:
         self._element = element = placed.element
         handle = _ADD[type(element)](gui, element, placed.order)
         if element.commands:
-            controlled(handle)
+            controlled(handle, element.action)
         heard = self._put
         if element.pause_s is not None:
             edits = Debouncer(self._put, guarded(page, placed.failed), element.pause_s)
@@ -229,6 +254,17 @@ def _number(gui: viser.GuiApi, element: Any, order: float) -> Any:
     return with_decimals(handle, element.decimals)
 
 
+def _pair(gui: viser.GuiApi, element: el.NumberPair, order: float) -> Any:
+    least = None if element.least is None else (element.least, element.least)
+    handle = gui.add_vector2(element.label, element.value, min=least, step=element.step, hint=element.hint, order=order)
+    return handle if element.decimals is None else with_decimals(handle, element.decimals)
+
+
+def _slider(gui: viser.GuiApi, element: el.Slider, order: float) -> Any:
+    ends = element.low, element.high, element.step
+    return gui.add_slider(element.label, *ends, element.value, hint=element.hint, order=order)
+
+
 def _dropdown(gui: viser.GuiApi, element: el.Dropdown, order: float) -> Any:
     options = tuple(element.options)
     return gui.add_dropdown(element.label, options, initial_value=element.value, hint=element.hint, order=order)
@@ -240,10 +276,12 @@ _ADD: dict[type[el.Input], Callable[[viser.GuiApi, Any, float], Any]] = {
     el.Text: lambda gui, e, order: gui.add_text(e.label, e.value, hint=e.hint, order=order),
     el.NumberOrEmpty: lambda gui, e, order: gui.add_text(e.label, _shown(e), hint=e.hint, order=order),
     el.Number: _number,
-    el.NumberPair: lambda gui, e, order: gui.add_vector2(e.label, e.value, step=e.step, hint=e.hint, order=order),
+    el.NumberPair: _pair,
+    el.Slider: _slider,
 }
 WIDGETS: dict[type[el.Element], Callable[[viser.GuiApi, Drawn, _Placed], Widget]] = {
     el.Html: HtmlWidget,
+    el.Fold: FoldWidget,
     el.Button: ButtonWidget,
     el.Buttons: ButtonsWidget,
     el.Toggle: ToggleWidget,

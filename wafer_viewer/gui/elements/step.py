@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
 from wafer_viewer.gui.elements.elements import Elements
@@ -11,6 +12,7 @@ from wafer_viewer.gui.elements.mount import Mount
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.ask import Ask
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
 
 C = TypeVar("C")
@@ -20,28 +22,42 @@ class Here(Generic[C]):
     """Arguments of a step: the session's snapshot, the view of this browser, and what it holds itself.
 
     page: commands of the session and changes of the view. ask: what takes its time. own: a frozen dataclass of what
-    nobody else needs, such as a name that is typed; a callback finds the newest.
+    nobody else needs, such as a name that is typed; a callback finds the newest. redraw: draws the step again.
     """
 
-    def __init__(self, page: Page, own: C) -> None:
+    def __init__(self, page: Page, own: C, redraw: Callable[[], None] | None = None) -> None:
         self.page = page
+        self.redraw = redraw or page.redraw
         self.ask: Ask = page.answers
         self.own = own
         self.snapshot, self.view = page.session.snapshot, page.view
 
     def keep(self, **changes: Any) -> None:
         """Change what the step holds, and draw again."""
-        self.own = replace(self.own, **changes)  # pyright: ignore[reportArgumentType]
-        self.page.redraw()
+        self.own = replace(self.own, **changes)
+        self.redraw()
 
 
 class StepPanel(Generic[C]):
-    """The part of the page that shows a step; `failed`: title of a failure of what has none of its own."""
+    """The part of the page that shows a step.
 
-    def __init__(self, page: Page, step: Callable[[Here[C]], Elements | None], own: C, failed: str) -> None:
+    failed: title of a failure of what has none of its own. picks: what a click on an element of `html.pick` does, by
+    its name; it gets the key.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        step: Callable[[Here[C]], Elements | None],
+        own: C,
+        failed: str,
+        picks: Mapping[str, Callable[[Here[C], str], Any]] = MappingProxyType({}),
+    ) -> None:
         self.here = Here(page, own)
         self._step = step
         self._mount = Mount(page.gui, page, failed)
+        for name, act in picks.items():
+            page.on_pick(name, partial(act, self.here))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the step as it is now."""

@@ -1,7 +1,7 @@
 """Modal dialogs, their confirmations, and the tooltips of inputs and buttons.
 
-One table by label; limits come from the specs that check the settings. viser shows hints of inputs only: a script
-sets the titles of buttons.
+One table by label, for inputs that are no fields of a spec. viser shows hints of inputs only: a script sets the titles
+of buttons.
 """
 
 from __future__ import annotations
@@ -28,40 +28,20 @@ from wafer_viewer.gui.widgets.controls import (
     in_a_row,
     set_prop,
 )
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
-from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.acquisition.plan import FocusSweep
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.spec import Spec, limit_of
+from wafer_viewer.model.spec import settings_of
 from wafer_viewer.model.surface_format import Reading
 from wafer_viewer.session.state.snapshot import DatasetEntry
 
 # ------------------------------------------------------------------------------------------------------------- tooltips
 
 
-def _limited(text: str, spec: type[Spec], field: str) -> str:
-    """Return a hint with the limit of a field by its spec."""
-    return f"{text}; {limit}" if (limit := limit_of(spec, field)) is not None else text
-
-
 FIELDS: dict[str, str] = {
-    # Plan
-    "Name": "Name of the sample, used in files and reports",
+    "Name": "Name in lists, exports and reports",
     "Password": "Of a person who is listed, not that of the page",
-    "Lot": "Lot of the wafer, recorded in the dataset and in reports",
-    "Wafer": "Number of the wafer in its lot",
-    "Wafer id": "As written on the wafer",
     "Product": "Product on the wafer",
-    "Operator": "Who is at the instrument",
-    "Revision": "Of the job; a released revision cannot be changed",
-    "Size, mm": _limited("Width and height of the outline, mm", Sample, "width_um"),
-    "Columns, rows": _limited("Fields side by side and one above the other", FieldGrid, "rows"),
-    "Overlap, %": "Of neighbouring fields, share of a field's side; 0 to 50 %. Stitching wants 8 % or more",
-    "Centre, µm": "Middle of the grid, stage x and y in µm",
-    "From, to, µm": "Lowest and highest frame, stage z in µm",
-    "Step, µm": _limited("From frame to frame along z, µm", FocusSweep, "z_step_um")
-    + "; finer than half the depth of field",
     "Exposure, µs": "Of the live picture and of the search for the focus",
-    "Exposures, µs": "One time, or several with commas: the frames of one z are then fused",
     # Surface
     "Show": "The stitched surface, or one field",
     "Colour by": "What the colours mean",
@@ -123,7 +103,7 @@ FIELDS: dict[str, str] = {
     # Dialogs
     "Path": "On the machine that runs the viewer; Tab completes it",
     "File name": "A folder before it leads there",
-    "z step, µm": _limited("Between two images of the stack, µm", FocusSweep, "z_step_um"),
+    "z step, µm": f"Between two images of the stack, µm; {settings_of(FocusSweep)['z_step_um'].limit}",
     "Pixel, µm": "Size of a pixel on the sample, µm; over 0",
     "Pattern": "How files are named, r{row}_c{col}_k{k}.tif; empty for one stack",
     "Only": "Files to take, by a pattern of their names such as img_*.png; empty: all",
@@ -134,22 +114,6 @@ FIELDS: dict[str, str] = {
     "One pixel in": "Density: every n-th row and column is written; 1 for all",
     "z unit": "Unit of the heights of a surface file, such as um; of points the unit of x and y, too",
     "Depths": "The file holds depths, positive downward: they are inverted",
-    "Limit, µm": "How far a mark may lie from where the alignment puts it, µm",
-    "Measured as": "Typed in, or as a result that was kept: its tool, places and settings",
-    "Quantity": "Which number of the result is judged",
-    "Nominal, µm": "Nominal value, µm or the unit of the quantity",
-    "Lower limit": "In µm or the unit of the quantity; empty: the upper one alone holds",
-    "Upper limit": "In µm or the unit of the quantity; empty: the lower one alone holds",
-    "On every die": "Measured at the same place on each die; the plan must name the dies",
-    "Die, µm": "Width and height of a die",
-    "Pitch, µm": "From die to die, to the right and upwards",
-    "First die, µm": "Lower left corner of the lowest die at the left, wafer µm",
-    "Across, up": "How many dies side by side, and one above the other",
-    "Dataset or folder": "A stored NAME.wafer, or a folder of them",
-    "Reconstruction": "Name of the result that is judged",
-    "Rule": "Guard band: value ± U must lie within the limits",
-    "x, y, µm": "Where the mark is on the wafer, µm",
-    "– to, µm": "The opposite corner, µm",
     "Your name": "Shown to the other browsers",
 }
 BUTTONS: dict[str, str] = {

@@ -63,6 +63,11 @@ class VerdictSection:
         self._cell.show(_content(snapshot))
 
 
+def unfold(*, more: bool) -> Markup:
+    """Return the link that shows everything of a released job, or the operator's actions alone."""
+    return html.action("Show everything" if more else "Show less", html.pick("everything", "yes" if more else "no"))
+
+
 def awaited(snapshot: Snapshot) -> bool:
     """Return whether the verdict of the open dataset is pending."""
     return has_features(snapshot) and snapshot.operating.verdict is None

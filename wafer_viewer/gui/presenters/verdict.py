@@ -13,8 +13,9 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.quantities import display_unit, value_texts, with_unit_sign
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.job import FeatureVerdict, WaferVerdict, Word
-from wafer_viewer.model.measurement.feature import DecisionRule, Feature
+from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.quantity import Quantity
+from wafer_viewer.model.spec import settings_of
 
 LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
     "pass": ("PASS", viser.Icon.CIRCLE_CHECK, "good"),
@@ -23,7 +24,11 @@ LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
     "no verdict": ("NO VERDICT", viser.Icon.CIRCLE_DASHED, "busy"),
 }
 """Word, icon and tone of each verdict; each alone is unambiguous."""
-RULES: dict[DecisionRule, str] = {"guard_band": "guard band, ISO 14253-1", "simple_acceptance": "simple acceptance"}
+
+
+def rule_title(feature: Feature) -> str:
+    """Return the decision rule of a feature in words."""
+    return settings_of(Feature)["decision_rule"].setting.titles[feature.decision_rule]
 
 
 def card(verdict: WaferVerdict) -> Markup:
@@ -52,7 +57,7 @@ def features(verdict: WaferVerdict) -> Markup:
     """Return the table of features: value ± U, limits, verdict; with the reason if it does not pass."""
     if not verdict.items:
         return Markup()
-    rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
+    rules = dict.fromkeys(rule_title(item.feature) for item in verdict.items)
     rows = [*_on_dies(verdict), *(_row(item) for item in verdict.items if not (item.die and item.word == "pass"))]
     return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
         ["", "Value ± U", "Limits", ""], rows, " nn "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,11 +12,10 @@ import viser
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from wafer_viewer.draw.colormaps import Rgb, rgb
+from wafer_viewer.draw.colormaps import Rgb, rgb, table
 from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.draw.surface import mesh, texture_baking
 from wafer_viewer.draw.surface.mesh import painted
-from wafer_viewer.gui.presenters.plan import WINDOW_COLOUR, FollowedPlan, followed
 from wafer_viewer.gui.scene.camera_presets import Clear
 from wafer_viewer.gui.scene.primitives import (
     Box,
@@ -35,10 +35,10 @@ from wafer_viewer.gui.scene.reconciler import Handle, SceneItem
 from wafer_viewer.gui.scene.scene_contents import SceneContents, colours, corners_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import Field, ScanPlan
+from wafer_viewer.model.acquisition.plan import CoarseLook, Field, FieldFocus, FollowFocus, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.job import Job
-from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.session.state.snapshot import Draft, Snapshot
 
 # ------------------------------------------------------------------------------------------------------- field outlines
 
@@ -357,6 +357,80 @@ def _stage_grid(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: b
         lines(scene, f"{name}/grid", np.array(pieces, np.float32), colours(dark).stage_line, 1.0),
         lines(scene, f"{name}/reach", edge, colours(dark).soft_ink, 2.0),
     )
+
+
+WINDOW_COLOUR = "#D9480F"
+"""Colour of the windows of a row, on map, scene and plot."""
+PALE_OVER_DEPTHS = 0.5
+"""Uncertainty in depths of field over which a focus is drawn pale."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedPlan:
+    """Plan after its coarse look: the focus of each field, and the row of fields that is shown from the side.
+
+    whole_um: ends of the whole sweep.
+    """
+
+    plan: ScanPlan
+    look: CoarseLook
+    follow: FollowFocus
+    focus: tuple[FieldFocus, ...]
+    row: int
+    whole_um: tuple[float, float]
+
+    @property
+    def in_row(self) -> list[tuple[Field, FieldFocus]]:
+        """Fields of the row with their focus, by rising x."""
+        pairs = [pair for pair in zip(self.plan.fields, self.focus, strict=True) if pair[0].row == self.row]
+        return sorted(pairs, key=lambda pair: pair[0].x_um)
+
+    @property
+    def blank(self) -> frozenset[int]:
+        """Numbers of the fields that were looked at and have no focus."""
+        return frozenset(place.field for place in self.look.places if not place.found)
+
+    @property
+    def looked_at(self) -> frozenset[int]:
+        """Numbers of the fields that were looked at."""
+        return frozenset(place.field for place in self.look.places)
+
+    def frame_um(self) -> tuple[float, float]:
+        """Return width and height of a field."""
+        return self.plan.cols * self.plan.pixel_um, self.plan.rows * self.plan.pixel_um
+
+    def window_um(self, field: Field) -> tuple[float, float]:
+        """Return the ends of the window of a field."""
+        return field.z_start_um, self.plan.sweep.top_um(field)
+
+    def colours(self) -> list[Rgb]:
+        """Return the colour of the focus of each field."""
+        middles = np.array([one.middle_um for one in self.focus])
+        low, span = middles.min(), max(float(np.ptp(middles)), 1e-6)
+        colours = table("mako")
+        chosen = colours[np.clip((middles - low) / span * (len(colours) - 1), 0, len(colours) - 1).astype(int)]
+        return [(int(r), int(g), int(b)) for r, g, b in chosen]
+
+    def opacities(self) -> list[float]:
+        """Return the opacity of each field, pale where its uncertainty is large."""
+        u_um = np.array([one.u_um for one in self.focus])
+        limit_um = PALE_OVER_DEPTHS * (self.plan.depth_of_field_um or self.plan.sweep.z_step_um)
+        return np.clip(limit_um / np.maximum(u_um, 1e-6), 0.25, 1.0).tolist()
+
+
+def followed(draft: Draft, row: int | None) -> FollowedPlan | None:
+    """Return the plan after its coarse look; None without a look, or where another strategy is chosen.
+
+    row: the chosen row of fields; None, or one that the plan lacks, for the middle one.
+    """
+    job, plan = draft.job, draft.plan
+    if job is None or plan is None or job.follow_focus is None or plan.coarse_look is None or not draft.focus:
+        return None
+    rows = sorted({field.row for field in plan.fields})
+    shown = row if row in rows else rows[len(rows) // 2]
+    starts_um = [field.z_start_um for field in job.all_fields()]
+    whole_um = min(starts_um), max(starts_um) + plan.sweep.range_um
+    return FollowedPlan(plan, plan.coarse_look, job.follow_focus, draft.focus, shown, whole_um)
 
 
 _FULL_OVER = 0.3

@@ -36,7 +36,6 @@ from wafer_viewer.gui.page.header import TITLES, Header, Reopened, StatusStrip, 
 from wafer_viewer.gui.page.page import Page, PagePart
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
 from wafer_viewer.gui.page.stop import NOT_STOPPED, complete_fields_sentence, stop
-from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
@@ -53,6 +52,8 @@ from wafer_viewer.gui.shell.shortcuts import (
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import Step, View, with_cursor
 from wafer_viewer.gui.steps.measure import MeasureState, measure_step, use_tool
+from wafer_viewer.gui.steps.plan import PICKS, plan_step
+from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState
 from wafer_viewer.gui.steps.report import ReportChoices, report_commands, report_step
 from wafer_viewer.gui.steps.results import choose_result
 from wafer_viewer.gui.surface.focus_evidence import WhyDock, WhyPanel
@@ -252,7 +253,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     viewpoint, drawing, welcome = Viewpoint(page, scene), ScenePart(scene, curves), Welcome(page)
     page.show_first([frame, header, welcome, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.visible_um)
-    plan, acquire = PlanPanel(page), AcquirePanel(page)
+    plan = StepPanel(page, plan_step, PlanState(), NOT_CHANGED, PICKS)
+    acquire = AcquirePanel(page)
     live, instrument = LivePanel(page), InstrumentPanel(page)
     surface = SurfacePanel(page, poses, scene.range_in_view, statistics)
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
@@ -317,7 +319,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_lines(page, scene, curves)
     with_verbs = live, welcome, tour, gauge, instrument, review, *left.with_commands, comparison, stack
     of_parts = [command for part in with_verbs for command in part.commands()] + report_commands(report.here)
-    verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure.here, why))]
+    verbs = [*of_parts, *commands_of(page, Parts(plan.here, acquire, surface, measure.here, why))]
     parts.insert(1, _palette(page, scene, verbs))
     page.on_close(scene.close)
     page.begin(parts)

@@ -44,9 +44,10 @@ from wafer_viewer.gui.page.preconditions import (
     surface_not_shown,
 )
 from wafer_viewer.gui.page.stop import stop
-from wafer_viewer.gui.plan.plan_panel import PlanPanel
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.steps.measure import MeasureState, keep_result, use_tool, why_not_keep
+from wafer_viewer.gui.steps.plan import save, start, why_not_start
+from wafer_viewer.gui.steps.plan_form import PlanState
 from wafer_viewer.gui.steps.profiles import LineCommands
 from wafer_viewer.gui.steps.results import delete_result, rename_result
 from wafer_viewer.gui.surface.focus_evidence import WhyPanel
@@ -78,7 +79,7 @@ EXAGGERATION_STEP, MOST_EXAGGERATED = 1.0, 20.0
 class Parts:
     """Panels whose commands have keys."""
 
-    plan: PlanPanel
+    plan: Here[PlanState]
     acquire: AcquirePanel
     surface: SurfacePanel
     measure: Here[MeasureState]
@@ -115,10 +116,10 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
         if session.snapshot.scanning:
             parts.acquire.pause_or_resume()
         else:
-            parts.plan.start()
+            start(parts.plan)
 
     def why_not(snapshot: Snapshot, _: View) -> str | None:
-        return None if snapshot.scanning else parts.plan.why_not(snapshot)
+        return None if snapshot.scanning else why_not_start(parts.plan, snapshot)
 
     close = ask("The dataset was not closed", session.close_dataset)
     return [
@@ -141,7 +142,7 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
         Command(
             "Save plan…",
             "S",
-            parts.plan.save,
+            partial(save, page),
             ICON.DEVICE_FLOPPY,
             "cmd/ctrl",
             "Plan",

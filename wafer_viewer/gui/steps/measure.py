@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
 import viser
@@ -30,7 +29,7 @@ from wafer_viewer.model.measurement.measuring_tool import ChoiceControl, Control
 from wafer_viewer.model.measurement.tool_options import LevelBy, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import replace, replace_at, value_at
 from wafer_viewer.session.state.snapshot import Snapshot
 
 MEASUREMENT, FACES = "measure", "faces of a step"
@@ -156,28 +155,19 @@ def _faces(here: Here[MeasureState]) -> Elements:
 
 def _options(here: Here[MeasureState], tool: MeasuringTool) -> Iterator[Element]:
     """Yield an input for each option of a tool."""
-    now = getattr(here.view.options, tool.name, None)
     for control in tool.controls:
-        yield _option(here, tool, control, attrgetter(control.field)(now))
+        yield _option(here, tool, control, value_at(here.view.options, f"{tool.name}.{control.field}"))
 
 
 def _option(here: Here[MeasureState], tool: MeasuringTool, control: Control, value: Any) -> Element:
     def put(value: Any) -> None:
-        options = here.page.view.options
-        own = _with(getattr(options, tool.name), control.field, value)
-        here.page.change(options=replace(options, **{tool.name: own}))
+        here.page.change(options=replace_at(here.page.view.options, f"{tool.name}.{control.field}", value))
 
     if isinstance(control, ChoiceControl):
         values = control.values
         name = next((name for name, v in values.items() if v == value), next(iter(values)))
         return Dropdown(control.label, name, lambda n: put(values[n]), control.hint, options=tuple(values))
     return NumberOrEmpty(control.label, value, put, control.hint, over=control.over)
-
-
-def _with(spec: Any, field: str, value: Any) -> Any:
-    """Return a copy of a spec with one field changed."""
-    outer, _, inner = field.partition(".")
-    return replace(spec, **{outer: _with(getattr(spec, outer), inner, value) if inner else value})
 
 
 def _evidence(finding: AnyResult) -> Markup:

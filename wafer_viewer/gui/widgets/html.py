@@ -104,6 +104,24 @@ def head(text: str, detail: str = "", first: bool = False) -> Markup:
     return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, detail)
 
 
+def link(text: str, attributes: Markup, title: str = "") -> Markup:
+    """Return a link; `attributes`: those of a pick. title: tooltip, for a link without text."""
+    named = Markup(' title="{}"').format(title) if title else Markup()
+    return Markup('<span class="wv-link"{} {}>{}</span>').format(named, attributes, text)
+
+
+def action(text: str, attributes: Markup, title: str = "", possible: bool = True) -> Markup:
+    """Return a small action at the right end of a title."""
+    named = Markup(' title="{}"').format(title) if title else Markup()
+    state = attributes if possible else Markup('aria-disabled="true"')
+    return Markup('<span class="wv-action{}"{} {}>{}</span>').format("" if possible else " off", named, state, text)
+
+
+def aside(text: str, look: str = "wv-why") -> Markup:
+    """Return a small sentence: `look` wv-why, centred under a button, or wv-lab; empty without text."""
+    return Markup('<div class="{}">{}</div>').format(look, text) if text else Markup()
+
+
 def empty(*lines: str) -> Markup:
     """Return the placeholder of an empty section: a description of its future content, or an instruction."""
     return Markup('<div class="wv-empty">{}</div>').format(Markup("<br>").join(lines))

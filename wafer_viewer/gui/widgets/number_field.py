@@ -12,13 +12,15 @@ from wafer_viewer.gui.widgets.controls import Gui
 from wafer_viewer.model.acquisition.characteristics import FOCUS_RANGE_UM, KINDS, CalibrationOption
 from wafer_viewer.model.acquisition.positioners import ROLES, RoleOfPositioner
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.measurement.feature import Feature
+from wafer_viewer.model.spec import settings_of
 
 T = TypeVar("T")
 Pair = tuple[float, float]
 SIDES, PLACE = " × ", ", "
 """Separator of two numbers: side lengths, or a position."""
 _BETWEEN = (r"\s*[×xX*]\s*", r"\s*;\s*", r"\s*,\s+", r"\s+", r",")
-NOT_GIVEN, NOT_KNOWN, NO_FILTER, NO_LIMIT = "not given", "not known", "no filter", "no limit"
+NOT_GIVEN, NOT_KNOWN, NO_FILTER = "not given", "not known", "no filter"
 
 
 def option_label(option: CalibrationOption) -> str:
@@ -49,13 +51,12 @@ EMPTY: dict[str, str] = {
     "Site width, µm": "a quarter",
     "Site height, µm": "a quarter",
     **dict.fromkeys(("Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days", "Tolerance"), NOT_GIVEN),
-    **dict.fromkeys(("Step, µm", "U (k = 2), µm", "Nominal, µm"), NOT_GIVEN),
+    **{one.setting.title: one.setting.empty for one in settings_of(Feature).values() if one.setting.empty},
+    **dict.fromkeys(("Step, µm", "U (k = 2), µm"), NOT_GIVEN),
     **dict.fromkeys(("Pixel, µm", "z step, µm"), NOT_GIVEN),
     "NA": NOT_KNOWN,
     "Light, µm": "0.55",
     "Size, mm": "not given: width × height",
-    "Lower limit": NO_LIMIT,
-    "Upper limit": NO_LIMIT,
     "Below, above focus, µm": "whole range",
     "Pitch, µm": "not given: x × y",
     "Die, µm": "as the pitch",
@@ -146,7 +147,7 @@ def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
     parts = next((pieces for by in _BETWEEN if len(pieces := re.split(by, bare)) == 2), [])
     values = [number_of(part, name, over=over) for part in parts]
     if len(values) != 2 or values[0] is None or values[1] is None:
-        raise WaferViewerError(f"{name}: {bare!r} are no two numbers. Type two, such as 12.5 × 8, or leave it empty.")
+        raise WaferViewerError(f"{name}: {bare!r} is not a pair of numbers. Type two, such as 12.5 × 8, or none.")
     return values[0], values[1]
 
 

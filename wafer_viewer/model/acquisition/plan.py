@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 
 from wafer_viewer.model.errors import PlanError, RigError, WaferViewerError
-from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import Count, NonNegative, Positive, Setting, Spec, Within
 
 # ------------------------------------------------------------------------------------------------------ focus following
 
@@ -239,7 +239,10 @@ class FocusSweep(Spec, frozen=True, kw_only=True):
     A field may have a window of its own with fewer frames.
     """
 
-    z_step_um: Positive
+    z_step_um: Annotated[
+        Positive,
+        Setting("Step, µm", "From frame to frame along z, at most half the depth of field", decimals=3, step=0.05),
+    ]
     n_frames: FrameCount
 
     @property

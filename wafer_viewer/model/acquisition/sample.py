@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import NonNegative, Positive, Setting, Spec, Within
 
 Notch = Literal["down", "left", "up", "right", "none"]
 QUARTER_TURNS: dict[Notch, int] = {"down": 0, "left": -1, "up": 2, "right": 1, "none": 0}
@@ -23,13 +23,12 @@ class AlignmentMark(Spec, frozen=True, kw_only=True):
 
 
 class Marks(Spec, frozen=True, kw_only=True):
-    """Alignment marks of a product: at least two points far apart, in wafer um.
-
-    limit_um: largest residual of any mark at which a scan may start.
-    """
+    """Alignment marks of a product: at least two points far apart, in wafer um."""
 
     places: tuple[AlignmentMark, ...]
-    limit_um: Positive = 10.0
+    limit_um: Annotated[
+        Positive, Setting("Limit, µm", "Largest residual of a mark at which a scan may start", decimals=2, step=0.5)
+    ] = 10.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,14 +71,14 @@ class Sample(Spec, frozen=True, kw_only=True):
     width_um, height_um: size of its outline; None, also for 0, if not given.
     """
 
-    name: str = ""
-    lot: str = ""
-    wafer_id: str = ""
-    product: str = ""
+    name: Annotated[str, Setting("Name", "Name of the sample, used in files and reports")] = ""
+    lot: Annotated[str, Setting("Lot", "Lot of the wafer, recorded in the dataset and in reports")] = ""
+    wafer_id: Annotated[str, Setting("Wafer id", "As written on the wafer")] = ""
+    product: Annotated[str, Setting("Product", "Product on the wafer")] = ""
     slot: Annotated[int, Within(0, 99)] = 0
     notch: Notch = "none"
     mount: str = ""
-    operator: str = ""
+    operator: Annotated[str, Setting("Operator", "Person at the instrument")] = ""
     width_um: NonNegative | None = None
     height_um: NonNegative | None = None
 

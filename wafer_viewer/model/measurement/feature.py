@@ -9,9 +9,14 @@ from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import NonNegative, Spec, Within, replace
+from wafer_viewer.model.spec import NonNegative, Setting, Spec, Within, replace
 
 DecisionRule = Literal["guard_band", "simple_acceptance"]
+_RULE = Setting(
+    "Rule",
+    "Guard band: value ± U must lie within the limits; simple acceptance: the value alone",
+    titles={"guard_band": "guard band, ISO 14253-1", "simple_acceptance": "simple acceptance"},
+)
 MOST_DIES = 100_000
 
 
@@ -24,15 +29,17 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
     options: of the tool; None for the defaults.
     """
 
-    name: str
+    name: Annotated[str, Setting("Name", "Name of the feature in verdicts; empty: the tool's name with a number")]
     tool: ToolName = "step"
     quantity: str = ""
     unit: Unit = "um"
-    nominal: float | None = None
-    lower_limit: float | None = None
-    upper_limit: float | None = None
-    decision_rule: DecisionRule = "guard_band"
-    per_die: bool = False
+    nominal: Annotated[
+        float | None, Setting("Nominal, µm", "Nominal value, in the unit of the quantity", "not given")
+    ] = None
+    lower_limit: Annotated[float | None, Setting("Lower limit", "In the unit of the quantity", "no limit")] = None
+    upper_limit: Annotated[float | None, Setting("Upper limit", "In the unit of the quantity", "no limit")] = None
+    decision_rule: Annotated[DecisionRule, _RULE] = "guard_band"
+    per_die: Annotated[bool, Setting("On every die", "At the same place on each die of the plan")] = False
     places: tuple[Region, ...] = ()
     options: ToolOptions | None = None
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.browser.sessions import operator_session as day
-from wafer_viewer.gui.plan.align_section import clicked, corner_picture, expected_um, square_round
-from wafer_viewer.gui.plan.job_dialogs import suggested_marks
-from wafer_viewer.gui.presenters.plan import section
 from wafer_viewer.gui.presenters.verdict import card, features
+from wafer_viewer.gui.steps.align import clicked, corner_picture, expected_um, square_round
+from wafer_viewer.gui.steps.job_dialogs import suggested_marks
+from wafer_viewer.gui.steps.preflight_lines import section
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.preflight import preflight_of_snapshot
@@ -48,7 +48,7 @@ def test_the_picture_says_what_it_asks_for_and_without_one_what_to_do():
     assert 'aria-label="Click corner 1: left"' in drawn
     assert 'class="seen"' not in drawn
     assert 'class="seen"' in corner_picture(OVERVIEW, JOB, (None, (2001.0, 2.0)), 1)
-    assert "mark where the stage stands" in words(corner_picture(None, JOB, (None, None), 0))
+    assert "mark the stage position" in words(corner_picture(None, JOB, (None, None), 0))
 
 
 def test_dies_suggest_corners_far_apart():
@@ -63,7 +63,7 @@ def test_each_line_of_the_look_round_has_a_word_beside_its_colour():
     assert [re.search(r'aria-label="(\w+)"', part).group(1) for part in text.split('role="listitem"')[1:]] == [
         *("ok", "stop", "ok", "ok", "ok", "ok")
     ]
-    assert "1 of 6 to look at" in text
+    assert "1 of 6 needs attention" in text
     assert "14.6 µm of 10 µm: too large" in words(text)
     assert section(()) == ""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from html import unescape
 
-from wafer_viewer.gui.plan.plan_sections import result
+from wafer_viewer.gui.steps.plan import found_exposure
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.procedure import ExposureLevels, FoundExposure
 from wafer_viewer.model.job import Job
@@ -20,14 +20,14 @@ WITH_BRACKET = FoundExposure(SINGLE, (SINGLE, LONGER), (3,), (0.0, 59.0), 48)
 def said(found, exposures_us):
     grid = FieldGrid(rows=2, cols=2, field_width_um=336.0, field_height_um=252.0)
     job = Job(grid=grid, sweep=FocusSweep(z_step_um=1.0, n_frames=60), exposures_us=exposures_us)
-    html = result(Snapshot(draft=Draft(job=job), exposure=found))
+    html = found_exposure(Snapshot(draft=Draft(job=job), exposure=found))
     return unescape(re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", html))).replace("\u202f", " "), html
 
 
 def test_the_result_names_the_exposure_the_level_and_what_was_looked_at():
     text, html = said(FOUND, (71.4,))
     assert "71.4 µs suits the brightest field" in text
-    assert "Brightest pixels at 79 % of white in field 3; looked at fields 1, 3, 4, 3 positions over 59.0 µm." in text
+    assert "Brightest pixels at 79 % of white in field 3; searched in fields 1, 3, 4, 3 positions over 59.0 µm." in text
     assert "bracket" not in html
 
 

@@ -6,13 +6,13 @@ import dataclasses
 
 import pytest
 
-from tests.gui.plan.test_operator_words import words
+from tests.gui.steps.test_align import words
 from tests.session.conftest import small_job
 from wafer_viewer.draw.charts.die_map import die_map_svg
-from wafer_viewer.gui.plan.job_dialogs import lattice_of, relative_to_die, trial_is_old, within_fields
-from wafer_viewer.gui.presenters.plan import MOST_CHANGES, before_release, trial
 from wafer_viewer.gui.presenters.results import kept_features
 from wafer_viewer.gui.presenters.verdict import dies, features
+from wafer_viewer.gui.steps.job_dialogs import lattice_of, relative_to_die, within_fields
+from wafer_viewer.gui.steps.trial import MOST_CHANGES, before_release, trial, trial_is_old
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job import JudgedDie, NotTried, Trial, TriedWafer, VerdictChange

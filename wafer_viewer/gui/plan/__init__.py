@@ -1,1 +1,0 @@
-"""Panels and dialogs of planning, jobs and alignment."""
