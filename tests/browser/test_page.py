@@ -119,6 +119,33 @@ def test_a_plan_is_edited_priced_and_started(serve: Serve):
     eventually(lambda: "start_scan" in verbs(session), "the scan was started")
 
 
+COVERED = """
+() => {
+  const named = name => button => button.textContent.trim() === name;
+  const buttons = [...document.querySelectorAll('[data-dock-region=right] button')].filter(at => at.offsetParent);
+  const foot = buttons.find(named('Start scan'));
+  return buttons.filter(at => {
+    at.closest('.mantine-ScrollArea-viewport').scrollTop = 0;
+    at.scrollIntoView({ block: 'nearest' });
+    const { left, top, width, height } = at.getBoundingClientRect();
+    const seen = share => document.elementFromPoint(left + width / 2, top + share * height);
+    return at !== foot && ![0.1, 0.5, 0.9].every(share => at.contains(seen(share)));
+  }).map(at => at.textContent.trim());
+}
+"""
+"""Buttons of the right panel that lie under another element when they have been scrolled into sight."""
+
+
+def test_nothing_that_is_brought_into_sight_lies_under_the_foot(serve: Serve):
+    now = fake.planned()
+    draft = dataclasses.replace(now.draft, problem="The grid reaches 3 mm over the range of the stage: move it.")
+    for snapshot in (now, dataclasses.replace(now, draft=draft)):
+        page = serve(fake.FakeSession(snapshot))
+        page.get_by_text("For operators").click()
+        expect(page.get_by_role("button", name="Try on wafers…")).to_be_visible()
+        assert page.evaluate(COVERED) == []
+
+
 def test_typing_on_and_on_loses_nothing_of_what_was_typed_first(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)

@@ -284,8 +284,15 @@ def leading_style(handle: Any, height_px: int = 44, sticky: bool = True) -> Mark
     )
     if sticky:
         foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
-        rules += f"div:has(>{selector}){{{foot}}}"
+        rules += f"div:has(>{selector}){{{foot}}}div:has(>{selector})::before{{content:'';pointer-events:none;{_FADE}}}"
+        rules += f".mantine-ScrollArea-viewport:has({selector}){{scroll-padding-bottom:{height_px + _FOOT_PX}px}}"
     return html.style_sheet(rules)
+
+
+_FOOT_PX = 74
+"""Height of the foot of a panel beside its button: padding, two lines above it, and the fade."""
+_FADE = "position:absolute;inset:auto 0 100%;height:14px;background:linear-gradient(transparent,var(--panel))"
+"""Rows fade out above the foot that covers them."""
 
 
 def duo(gui: Gui) -> None:
