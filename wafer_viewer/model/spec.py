@@ -93,6 +93,12 @@ def replace(item: R, **changes: Any) -> R:
     return msgspec.structs.replace(item, **changes)  # type: ignore[type-var]
 
 
+def with_field(item: R, path: str, value: Any) -> R:
+    """Return a copy of a spec with one field changed; a path such as ``levy.mode`` leads into the specs it holds."""
+    name, _, inner = path.partition(".")
+    return replace(item, **{name: with_field(getattr(item, name), inner, value) if inner else value})
+
+
 def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> S:
     """Read a spec from TOML or JSON `text`; errors refer to the text by `name`, usually a file name."""
     try:
@@ -255,12 +261,6 @@ def settings_of(kind: type[Spec]) -> dict[str, SettingField]:
 def value_at(spec: Spec, path: str) -> Any:
     """Return the value of a field by its path with dots."""
     return functools.reduce(getattr, path.split("."), spec)
-
-
-def replace_at(spec: R, path: str, value: Any) -> R:
-    """Return a copy of a spec with the field at a path with dots changed."""
-    outer, _, inner = path.partition(".")
-    return replace(spec, **{outer: replace_at(getattr(spec, outer), inner, value) if inner else value})
 
 
 def _marks(hint: Any) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ import pytest
 from wafer_viewer.gui.elements.elements import Checkbox, Dropdown, Input, Number, NumberOrEmpty, Text
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.spec import NonNegative, Positive, Setting, Spec, Within, replace_at, settings_of, value_at
+from wafer_viewer.model.spec import NonNegative, Positive, Setting, Spec, Within, settings_of, value_at, with_field
 
 SHAPE = Setting("Shape", "Of the mark", titles={"dot": "A dot", "bar": "A bar"})
 
@@ -79,7 +79,7 @@ def test_fields_without_a_label_and_specs_that_are_left_out_need_no_input():
 
 
 def test_path_leads_to_a_field_whose_new_value_is_checked():
-    mask = replace_at(Mask(), "mark.width_um", 8.0)
+    mask = with_field(Mask(), "mark.width_um", 8.0)
     assert (value_at(mask, "mark.width_um"), mask.mark.name) == (8.0, "")
     with pytest.raises(PlanError, match=r"Mark.width_um is 0: it must be over 0"):
-        replace_at(mask, "mark.width_um", 0)
+        with_field(mask, "mark.width_um", 0)

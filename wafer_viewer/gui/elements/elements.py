@@ -129,10 +129,10 @@ class NumberPair(Input):
 
 @dataclass(frozen=True, slots=True)
 class Slider(Input):
-    """A number between two ends, by a slider."""
+    """A number between `least` and `most`, by a slider."""
 
-    low: float = 0.0
-    high: float = 1.0
+    least: float = 0.0
+    most: float = 1.0
     step: float = 0.05
 
 

@@ -261,7 +261,7 @@ def _pair(gui: viser.GuiApi, element: el.NumberPair, order: float) -> Any:
 
 
 def _slider(gui: viser.GuiApi, element: el.Slider, order: float) -> Any:
-    ends = element.low, element.high, element.step
+    ends = element.least, element.most, element.step
     return gui.add_slider(element.label, *ends, element.value, hint=element.hint, order=order)
 
 

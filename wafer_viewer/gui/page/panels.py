@@ -65,7 +65,9 @@ class VerdictSection:
 
 def unfold(*, more: bool) -> Markup:
     """Return the link that shows everything of a released job, or the operator's actions alone."""
-    return html.action("Show everything" if more else "Show less", html.pick("everything", "yes" if more else "no"))
+    return html.title_action(
+        "Show everything" if more else "Show less", html.pick("everything", "yes" if more else "no")
+    )
 
 
 def awaited(snapshot: Snapshot) -> bool:

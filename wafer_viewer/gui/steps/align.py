@@ -174,9 +174,7 @@ def _fit(fit: Alignment, marks: Marks) -> Markup:
     words = f"{fit.n_marks} corners, residual {with_unit(fit.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
     text = "" if good else "Too large: mark the named corners again."
     sign = html.icon(viser.Icon.CIRCLE_CHECK if good else viser.Icon.HAND_STOP, 18)
-    return html.note(
-        "good" if good else "fault", words, text, html.link("Mark again", html.command_pick("unmark")), sign
-    )
+    return html.note("good" if good else "fault", words, text, html.command_link("Mark again", "unmark"), sign)
 
 
 def _to_mark(snapshot: Snapshot, job: Job, marks: Marks, n: int) -> Markup:
@@ -229,4 +227,6 @@ def _title(snapshot: Snapshot, job: Job) -> Markup:
     plan, n = snapshot.draft.plan, len(job.all_fields())
     takes = f" · {duration(plan.predicted_s)}" if plan is not None else ""
     below = f"Revision {job.revision}, released · {n} field{'s' if n > 1 else ''}{takes}"
-    return html.title(job.product, below, html.action("Another job…", html.command_pick("jobs")) + unfold(more=True))
+    return html.title(
+        job.product, below, html.title_action("Another job…", html.command_pick("jobs")) + unfold(more=True)
+    )

@@ -58,7 +58,7 @@ def follow_section(here: Here[PlanState]) -> Elements:
 def head(shown: FollowedPlan | None) -> Markup:
     """Return the head of the section: the number of places with a focus, or a note that there was no look yet."""
     if shown is None:
-        return html.head("Following") + html.aside("No coarse look yet: Start scan takes one first.")
+        return html.head("Following") + html.remark("No coarse look yet: Start scan takes one first.")
     places = shown.look.places
     return html.head("Following", f"{len(shown.look.found)} of {len(places)} places in focus")
 
@@ -66,7 +66,7 @@ def head(shown: FollowedPlan | None) -> Markup:
 def windows(shown: FollowedPlan) -> Markup:
     """Return the map of places and windows with its legend, and the row from the side."""
     mean_um = np.mean([high - low for low, high in map(shown.window_um, shown.plan.fields)])
-    mean_text = html.aside(f"Window of each field, µm · mean {number(float(mean_um), 0)}. Click a row.", "wv-lab")
+    mean_text = html.remark(f"Window of each field, µm · mean {number(float(mean_um), 0)}. Click a row.")
     return _map(shown) + _legend() + mean_text + _from_the_side(shown) + _no_focus(shown)
 
 

@@ -455,7 +455,7 @@ def _feature_inputs(
         field("name"),
         Dropdown("Measured as", own.source, take, MEASURED_HINT, options=(first, *stored)),
         Dropdown("Quantity", own.quantity, take_quantity, "Number of the result that is judged", options=quantities),
-        Html(html.aside(words, "wv-lab")),
+        Html(html.remark(words)),
         optional("nominal"),
         Stack([optional("lower_limit"), optional("upper_limit")], side_by_side=True),
         field("decision_rule"),

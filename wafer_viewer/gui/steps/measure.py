@@ -29,7 +29,7 @@ from wafer_viewer.model.measurement.measuring_tool import ChoiceControl, Control
 from wafer_viewer.model.measurement.tool_options import LevelBy, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace, replace_at, value_at
+from wafer_viewer.model.spec import replace, value_at, with_field
 from wafer_viewer.session.state.snapshot import Snapshot
 
 MEASUREMENT, FACES = "measure", "faces of a step"
@@ -161,7 +161,7 @@ def _options(here: Here[MeasureState], tool: MeasuringTool) -> Iterator[Element]
 
 def _option(here: Here[MeasureState], tool: MeasuringTool, control: Control, value: Any) -> Element:
     def put(value: Any) -> None:
-        here.page.change(options=replace_at(here.page.view.options, f"{tool.name}.{control.field}", value))
+        here.page.change(options=with_field(here.page.view.options, f"{tool.name}.{control.field}", value))
 
     if isinstance(control, ChoiceControl):
         values = control.values

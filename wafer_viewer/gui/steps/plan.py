@@ -214,7 +214,7 @@ def _grid(here: Here[PlanState], values: dict[str, Any]) -> Elements:
     off = fixed["disabled"]
     return [
         NumberPair("Columns, rows", *put("counts"), counts, step=1, least=1, **fixed),
-        Slider("Overlap, %", *put("overlap"), overlap, low=0.0, high=50.0, step=0.5, **fixed),
+        Slider("Overlap, %", *put("overlap"), overlap, least=0.0, most=50.0, step=0.5, **fixed),
         NumberPair("Centre, µm", *put("centre"), centre, step=0.1, decimals=2, **fixed),
         Buttons(
             [
@@ -277,7 +277,7 @@ def _title(draft: Draft) -> Markup:
 def _history(draft: Draft) -> Markup:
     """Return the undo and redo actions of the title."""
     undo, redo = html.icon(ICON.ARROW_BACK_UP, 17), html.icon(ICON.ARROW_FORWARD_UP, 17)
-    return html.action(undo, html.command_pick("undo"), "Undo · Ctrl + Z", draft.can_undo) + html.action(
+    return html.title_action(undo, html.command_pick("undo"), "Undo · Ctrl + Z", draft.can_undo) + html.title_action(
         redo, html.command_pick("redo"), "Redo · Ctrl + Shift + Z", draft.can_redo
     )
 
@@ -286,8 +286,8 @@ def grid_head(snapshot: Snapshot) -> Markup:
     """Return the head of the field grid, or what is missing for a grid."""
     job = snapshot.draft.job
     if job is None:
-        cover = html.link("Use the sample on the stage", html.command_pick("cover", action="Plan saved"))
-        on_stage = html.aside(cover) if snapshot.overview is not None else ""
+        cover = html.command_link("Use the sample on the stage", "cover", action="Plan saved")
+        on_stage = Markup('<div class="wv-why">{}</div>').format(cover) if snapshot.overview is not None else ""
         return html.head("Field grid") + html.empty("The grid follows from the size of the sample.") + on_stage
     if job.grid is None:
         return html.head("Fields", f"{len(job.fields)} fields from the plan's list")
@@ -340,7 +340,7 @@ def _bracket(found: FoundExposure, exposures_us: tuple[float, ...]) -> Markup:
     if exposures_us == found.bracket_us:
         return table
     dark = f"{share(found.single.dark_fraction)} of the pixels are darker than 5 % of white"
-    take = html.link("Take the bracket", html.command_pick("bracket", action="Plan saved"))
+    take = html.command_link("Take the bracket", "bracket", action="Plan saved")
     return html.note("attention", "One exposure leaves dark areas", f"{dark}: a bracket shows them.", take) + table
 
 
@@ -354,8 +354,8 @@ def strategies(snapshot: Snapshot, draft: Draft) -> Markup:
     if job is None:
         waiting = html.empty("Every strategy is listed here with its time", "as soon as there is a grid.")
         return html.head("Strategy") + waiting + _GAP
-    by_hand = "Chosen by hand. " + html.link("Use the fastest", html.command_pick("strategy", "auto", "Plan saved"))
-    chosen = html.aside(by_hand if job.strategy != "auto" else "", "wv-lab")
+    by_hand = "Chosen by hand. " + html.command_link("Use the fastest", "strategy", "auto", "Plan saved")
+    chosen = html.remark(by_hand if job.strategy != "auto" else "")
     if plan is None:
         problem = html.with_micro_sign(draft.problem or "The time of every strategy is being estimated.")
         return html.head("Strategy") + html.empty(problem) + chosen + _GAP
@@ -383,14 +383,14 @@ def strategies(snapshot: Snapshot, draft: Draft) -> Markup:
 def start_hint(draft: Draft, why_not: str | None) -> Markup:
     """Return the line above the button: why it is disabled, else the cost of the scan (visible in low windows only)."""
     if why_not is not None:
-        return html.aside(f"Not yet: {html.with_micro_sign(why_not)}", "wv-why wv-at-foot")
+        return html.why_not(why_not, " wv-at-foot")
     if draft.plan is None:
         return Markup()
     free = f", {size(draft.free_bytes)} free" if draft.free_bytes is not None else ""
     cost = Markup("<b>{}</b> · {} on disk{}").format(
         duration(draft.plan.predicted_s), size(draft.plan.bytes_on_disk), free
     )
-    return html.aside(cost, "wv-why wv-at-foot wv-low-only")
+    return Markup('<div class="wv-why wv-at-foot wv-low-only">{}</div>').format(cost)
 
 
 def _price_row(price: Price, best_s: float, *, chosen: bool) -> Markup:

@@ -20,7 +20,7 @@ from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.job import Job
-from wafer_viewer.model.spec import replace, replace_at, value_at
+from wafer_viewer.model.spec import replace, value_at, with_field
 from wafer_viewer.session.state.snapshot import Snapshot, Typed
 
 FIRST_FRAMES = 31
@@ -134,7 +134,7 @@ def _with_follow(job: Job, text: str) -> Job:
 
 def _at(path: str) -> PlanField:
     def put(job: Job, value: Any) -> Job:
-        return replace_at(job, path, value.strip())
+        return with_field(job, path, value.strip())
 
     return PlanField(lambda job: value_at(job, path), put)
 

@@ -101,6 +101,6 @@ def _feature(n: int, feature: Feature, released: bool) -> Markup:
     name = Markup("{name}<small>{what}{where}<br>{rules}</small>").format(
         name=feature.name, what=what, where=where, rules=rule_title(feature)
     )
-    away = html.link(html.icon(viser.Icon.X, 14), html.command_pick("no-feature", n, "Plan saved"), "Remove")
+    away = html.command_link(html.icon(viser.Icon.X, 14), "no-feature", n, "Plan saved", "Remove")
     cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
     return html.row(cells, " nn ", "" if released else html.command_pick("feature", n, "Plan saved"))

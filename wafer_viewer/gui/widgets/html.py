@@ -104,22 +104,28 @@ def head(text: str, detail: str = "", first: bool = False) -> Markup:
     return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, detail)
 
 
-def link(text: str, attributes: Markup, title: str = "") -> Markup:
-    """Return a link; `attributes`: those of a pick. title: tooltip, for a link without text."""
+def command_link(text: str, what: str, key: object = "", action: Action | None = None, title: str = "") -> Markup:
+    """Return a link that picks `key` of `what`, and needs control; title: tooltip of a link without text."""
     named = Markup(' title="{}"').format(title) if title else Markup()
-    return Markup('<span class="wv-link"{} {}>{}</span>').format(named, attributes, text)
+    return Markup('<span class="wv-link"{} {}>{}</span>').format(named, command_pick(what, key, action), text)
 
 
-def action(text: str, attributes: Markup, title: str = "", possible: bool = True) -> Markup:
-    """Return a small action at the right end of a title."""
+def title_action(text: str, attributes: Markup, title: str = "", possible: bool = True) -> Markup:
+    """Return a small action at the right end of a title; attributes: those of a pick."""
     named = Markup(' title="{}"').format(title) if title else Markup()
     state = attributes if possible else Markup('aria-disabled="true"')
     return Markup('<span class="wv-action{}"{} {}>{}</span>').format("" if possible else " off", named, state, text)
 
 
-def aside(text: str, look: str = "wv-why") -> Markup:
-    """Return a small sentence: `look` wv-why, centred under a button, or wv-lab; empty without text."""
-    return Markup('<div class="{}">{}</div>').format(look, text) if text else Markup()
+def remark(text: str) -> Markup:
+    """Return a line of small grey text; an empty text has none."""
+    return Markup('<div class="wv-lab">{}</div>').format(text) if text else Markup()
+
+
+def why_not(reason: str | None, look: str = "") -> Markup:
+    """Return the line that says why the button below it is not possible now; empty without a reason."""
+    line = Markup('<div class="wv-why{}">Not yet: {}</div>')
+    return line.format(look, with_micro_sign(reason)) if reason else Markup()
 
 
 def empty(*lines: str) -> Markup:
