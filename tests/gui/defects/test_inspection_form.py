@@ -57,12 +57,12 @@ def test_a_recipe_is_the_same_after_the_form():
 
 
 def test_the_dies_of_an_inspection_stand_there_to_be_given_again():
-    form = dataclasses.replace(form_of(DefectRecipe(), INSPECTION), dies=GIVEN)
+    form = replace(form_of(DefectRecipe(), INSPECTION), dies=GIVEN)
     grid = dies_of(form)
     assert (grid.pitch_x_um, grid.width_um, grid.x0_um) == (GRID.pitch_x_um, GRID.width_um, GRID.x0_um)
-    assert dies_of(dataclasses.replace(form, dies=FOUND)) == "found"
+    assert dies_of(replace(form, dies=FOUND)) == "found"
     assert dies_of(DefectForm()) is None
-    assert (against_of(form), against_of(dataclasses.replace(form, compare=FORM))) == ("dies", "form")
+    assert (against_of(form), against_of(replace(form, compare=FORM))) == ("dies", "form")
 
 
 def test_dies_without_a_size_are_as_large_as_their_pitch():
@@ -144,8 +144,8 @@ def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name()
 def test_what_is_folded_away_is_told_in_a_line():
     assert "no limits" in advanced_settings_header(form_of(DefectRecipe(), None), False)
     line = advanced_settings_header(form_of(KEPT, None), False)
-    assert "Picture; scales 0, 2.5 px; dies: the job's, or found; at most 3 per die and 0.1 per mm²" in unescape(line)
-    assert "scales" not in advanced_settings_header(form_of(KEPT, None), True)
+    assert "Picture; filters 0, 2.5 px; dies: the job's, or found; at most 3 per die and 0.1 per mm²" in unescape(line)
+    assert "filters" not in advanced_settings_header(form_of(KEPT, None), True)
 
 
 def test_limits_are_typed_and_lead_to_a_verdict():

@@ -6,10 +6,20 @@ from typing import Annotated, Any, Literal
 
 import pytest
 
-from wafer_viewer.gui.elements.elements import Checkbox, Dropdown, Input, Number, NumberOrEmpty, Text
+from wafer_viewer.gui.elements.elements import Checkbox, Dropdown, Input, Number, NumberOrEmpty, Slider, Text
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.spec import NonNegative, Positive, Setting, Spec, Within, settings_of, value_at, with_field
+from wafer_viewer.model.spec import (
+    Fraction,
+    NonNegative,
+    Positive,
+    Setting,
+    Spec,
+    Within,
+    settings_of,
+    value_at,
+    with_field,
+)
 
 SHAPE = Setting("Shape", "Of the mark", titles={"dot": "A dot", "bar": "A bar"})
 
@@ -31,9 +41,10 @@ class Mask(Spec, frozen=True, kw_only=True):
     mark: Mark = Mark()
     spare: Mark | None = None
     layer: Annotated[int, Within(1, 9), Setting("Layer", "From the bottom")] = 1
+    dose: Annotated[Fraction, Setting("Dose", "Of the largest", step=0.1)] = 0.5
 
 
-ALL = ("mark.name", "mark.shape", "mark.width_um", "mark.depth_um", "mark.filled", "layer")
+ALL = ("mark.name", "mark.shape", "mark.width_um", "mark.depth_um", "mark.filled", "layer", "dose")
 
 
 def inputs(mask: Mask = Mask(), **state: Any) -> tuple[dict[str, Input], list[tuple[str, Any]]]:
@@ -44,7 +55,7 @@ def inputs(mask: Mask = Mask(), **state: Any) -> tuple[dict[str, Input], list[tu
 
 def test_kind_of_an_input_follows_the_type_of_its_field():
     kinds = [type(one) for one in inputs()[0].values()]
-    assert kinds == [Text, Dropdown, Number, NumberOrEmpty, Checkbox, Number]
+    assert kinds == [Text, Dropdown, Number, NumberOrEmpty, Checkbox, Number, Slider]
 
 
 def test_label_limit_and_look_are_those_of_the_field():

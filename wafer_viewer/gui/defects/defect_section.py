@@ -19,7 +19,8 @@ from wafer_viewer.gui.defects.defect_dialogs import (
     area_of_defect,
     recipes_dialog,
 )
-from wafer_viewer.gui.defects.inspection_form import InspectionForm
+from wafer_viewer.gui.defects.inspection_form import PICKS, InspectionState, inspection_form, put, save
+from wafer_viewer.gui.elements.step import StepPanel
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defects
 from wafer_viewer.gui.presenters import defects as words
@@ -48,13 +49,12 @@ class DefectSection:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._unfolded = False
         self._fly: Callable[[Box], object] = lambda box: None
         self._thumbnails = Thumbnails(page)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._head = HtmlBlock(page.gui)
-            self.form = InspectionForm(page)
+            self._form = StepPanel(page, inspection_form, InspectionState(), "The form was not changed", PICKS)
             self._errands = HtmlBlock(page.gui)
             self._other = OtherSection(page, lambda box: self._fly(box))
             self._list = HtmlBlock(page.gui)
@@ -71,12 +71,12 @@ class DefectSection:
             return
         state = snapshot.inspection
         if state.work:
-            self._unfolded = False
+            self._form.here.own = replace(self._form.here.own, unfolded=False)
         inspection = state.inspection
         self._head.show(
             self._top(snapshot) + words.summary(state) + (verdict(inspection) if inspection is not None else "")
         )
-        self.form.show(snapshot, (self._unfolded or inspection is None) and not state.work, _why_not(snapshot))
+        self._form.show(snapshot, view)
         self._errands.show(_command_links_html() if inspection is not None else "")
         self._other.show(snapshot)
         self._list.show(self._listed(snapshot, view))
@@ -88,12 +88,13 @@ class DefectSection:
     def commands(self) -> list[Command]:
         """Return the palette commands that inspect, sort and export defects."""
         icon, leave_out_here = viser.Icon, partial(self._edit_excluded_areas, here=True)
+        keep_recipe = partial(save, self._form.here)
         return with_precondition(
             no_defects,
             Command("Search for defects…", None, self.unfold, icon.SEARCH, group="Review"),
-            Command("Save the recipe for defects…", None, self.form.save, icon.DEVICE_FLOPPY, group="Review"),
-            Command("Areas left out of the search…", None, self._edit_excluded_areas, icon.CROP, group="Review"),
-            Command("Leave this place out…", None, leave_out_here, icon.CROP, group="Review"),
+            Command("Save the recipe for defects…", None, keep_recipe, icon.DEVICE_FLOPPY, group="Review"),
+            Command("Excluded areas…", None, self._edit_excluded_areas, icon.CROP, group="Review"),
+            Command("Exclude this place…", None, leave_out_here, icon.CROP, group="Review"),
             Command("Recipes for defects…", None, lambda: recipes_dialog(self._page), icon.LIST, group="Review"),
             *(
                 Command(errand.name, None, lambda k=key: self._run(k), errand.icon, group="Review")
@@ -110,9 +111,8 @@ class DefectSection:
 
     def unfold(self) -> None:
         """Unfold or fold the form."""
-        self._unfolded = not self._unfolded
         self._page.change(step="review")
-        self._page.redraw()
+        self._form.here.keep(unfolded=not self._form.here.own.unfolded)
 
     # --- what a person does
 
@@ -131,10 +131,10 @@ class DefectSection:
         proposed = area_of_defect(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
 
         def keep(areas: tuple[Region, ...]) -> None:
-            self._unfolded = True
-            self.form.exclude(areas)
+            put(self._form.here, "excluded", areas)
+            self._form.here.keep(unfolded=True)
 
-        guarded(page, STAYS)(ExcludedDialog)(page, self.form.excluded, keep, proposed)
+        guarded(page, STAYS)(ExcludedDialog)(page, self._form.here.own.form.excluded, keep, proposed)
 
     def _list_by(self, **changes: Any) -> None:
         self._page.change(defects=replace(self._page.view.defects, **changes))
@@ -148,7 +148,7 @@ class DefectSection:
         if state.inspection is None:
             first = html.empty("Nothing was inspected yet:", "set the dial and press Inspect.")
             return html.head("Defects") + ("" if state.problem else first)
-        fold = "Less" if self._unfolded else "Inspect again…"
+        fold = "Less" if self._form.here.own.unfolded else "Inspect again…"
         link = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("defect-form"), fold)
         judged = words.judged(state.inspection)
         return Markup('<div class="wv-h">Defects<span class="wv-mid">{}</span><span>{}</span></div>').format(
@@ -187,16 +187,6 @@ def _command_links_html() -> Markup:
     )
     areas = Markup('<span class="wv-link" {}>Leave out…</span>').format(html.pick("defect-excluded", "here"))
     return Markup('<div class="wv-legend" style="margin:2px 0 6px">{}{}</div>').format(Markup("").join(links), areas)
-
-
-def _why_not(snapshot: Snapshot) -> str:
-    """Return the reason why no inspection can start now; empty if it can, or if one is running."""
-    data = snapshot.dataset
-    if data is None or snapshot.inspection.work:
-        return ""
-    if data.read_only is not None:
-        return f"Not possible: {data.read_only}"
-    return "Not yet: the surface still grows." if snapshot.scanning else ""
 
 
 def _at_least(box: Box, side_um: float) -> Box:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 import viser
@@ -14,13 +15,13 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.defects.defect_dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
+from wafer_viewer.gui.elements.elements import Button, Buttons, Dropdown, Elements, Html, Input, Stack
+from wafer_viewer.gui.elements.form import form as inputs_of
+from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.defects import per_mm2
 from wafer_viewer.gui.presenters.inspection_form import (
-    AGAINST,
-    DIES,
-    EVIDENCE,
     GIVEN,
     GOLDEN,
     DefectForm,
@@ -32,22 +33,11 @@ from wafer_viewer.gui.presenters.inspection_form import (
     text_of,
 )
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded, tell_failure
-from wafer_viewer.gui.widgets.controls import (
-    BoundInput,
-    HtmlBlock,
-    button,
-    command_button,
-    in_a_row,
-    set_prop,
-    with_decimals,
-)
-from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
+from wafer_viewer.gui.widgets.callbacks import COMMIT_S, tell_failure
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, threshold_of
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
-from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.model.spec import replace, settings_of
 from wafer_viewer.session.state.inspection_state import DefectFilesState, product_of
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -122,8 +112,8 @@ def advanced_settings_header(form: DefectForm, unfolded: bool) -> Markup:
         return Markup('<div class="wv-h">More settings<span>{}</span></div>').format(link)
     limits = [text for text in (form.max_per_die and f"{form.max_per_die} per die", _a_mm2(form.max_per_mm2)) if text]
     parts = (
-        form.evidence,
-        f"scales {form.scales_px} px",
+        settings_of(DefectForm)["evidence"].setting.titles[form.evidence],
+        f"filters {form.scales_px} px",
         *((areas(form),) if form.excluded else ()),
         f"dies: {form.dies[0].lower()}{form.dies[1:]}",
         f"at most {' and '.join(limits)}" if limits else "no limits",
@@ -189,253 +179,180 @@ def _lab(text: str) -> Markup:
 
 
 NOT_SAVED = "not kept"
-DIAL = "0 finds only clear defects, 1 everything that may be one"
-FAILED = "Inspection failed"
+FAILED, NOT_LIMITED = "Inspection failed", "The limits were not changed"
 
 
-class InspectionForm:
-    """Form filled in from the last inspection of the surface, else from the saved recipe of its product."""
+@dataclass(frozen=True, slots=True)
+class InspectionState:
+    """State of the form, filled in from the last inspection of the surface, else from the recipe of its product.
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._recipe = DefectRecipe()
-        """Recipe that supplies the settings that the form does not show."""
-        self._shown_for: object = None
-        self._limits = DefectLimits()
-        self._shows_more = False
-        self._form = DefectForm()
-        gui = page.gui
-        self._folder = gui.add_folder(None, visible=False)
-        with self._folder:
-            self._origin = HtmlBlock(gui)
-            self._build_search(gui)
-            self._more = HtmlBlock(gui)
-            self._rest = gui.add_folder(None, visible=False)
-            with self._rest:
-                self._build_evidence(gui)
-                self._build_dies(gui)
-                self._build_limits(gui)
-            self._why = HtmlBlock(gui)
-            begin = guarded(page, FAILED)(lambda _: self.inspect())
-            self._begin = command_button(gui, "Inspect", viser.Icon.SEARCH, begin)
-            in_a_row(gui, [self._begin], 34)
-            self._build_recipe(gui)
-        page.on_pick("defect-golden", self._choose_golden)
-        page.on_pick("defect-golden-file", lambda _: self._ask_golden())
-        page.on_pick("defect-more", lambda _: self._show_more())
+    recipe: supplies the settings that the form does not show. filled_from: dataset and recipe that it was filled in
+    from. limits: that it was filled in with last.
+    """
 
-    def show(self, snapshot: Snapshot, unfolded: bool, why_not: str) -> None:
-        """Bring the form up to date; `why_not` is the reason why no inspection can start now, or empty."""
-        set_prop(self._folder, "visible", unfolded)
-        self._take_up(snapshot)
-        if not unfolded:
-            return
-        form = self._typed()
-        self._show_recipe(snapshot, form)
-        self._expected.show(_label(expectation(form.sensitivity, snapshot.inspection.inspection)))
-        golden = form.compare == GOLDEN
-        self._golden.show(golden_table(snapshot.defect_files, form.product.strip(), form.golden) if golden else "")
-        self._more.show(advanced_settings_header(form, self._shows_more))
-        self._excluded.show(exclusion_line_html(form))
-        set_prop(self._rest, "visible", self._shows_more)
-        set_prop(self._given, "visible", form.dies == GIVEN and against_of(form) == "dies")
-        set_prop(self._begin, "disabled", bool(why_not))
-        self._why.show(_label(why_not) if why_not else "")
+    form: DefectForm = DefectForm()
+    recipe: DefectRecipe = DefectRecipe()
+    filled_from: object = None
+    limits: DefectLimits = DefectLimits()
+    unfolded: bool = False
+    shows_more: bool = False
 
-    @property
-    def recipe(self) -> DefectRecipe:
-        """Recipe that the form describes. Raises MeasureError if its entries make no valid recipe."""
-        return recipe_of(self._typed(), self._recipe)
 
-    def inspect(self) -> None:
-        """Inspect the surface with the settings of the form."""
-        form, page = self._typed(), self._page
-        recipe = recipe_of(form, self._recipe)
-        verb = page.session.defects.inspect(recipe, dies_of(form), against_of(form))
-        verb.add_done_callback(self._tell_refusal)
-        page.redraw()
+def inspection_form(here: Here[InspectionState]) -> Elements | None:
+    """Return the form; it is shown until the surface has been inspected, and when it is unfolded."""
+    snapshot, state = here.snapshot, here.snapshot.inspection
+    _take_up(here)
+    if here.view.step != "review" or state.work or not (here.own.unfolded or state.inspection is None):
+        return None
+    form, icon, page = here.own.form, viser.Icon, here.page
+    golden = golden_table(snapshot.defect_files, form.product.strip(), form.golden) if form.compare == GOLDEN else ""
+    why, (origin, saved_as) = why_not(snapshot), _described(here)
+    names = (NOT_SAVED, *(recipe.name for recipe in snapshot.defect_files.recipes_of(form.product.strip())))
+    kept_hint = "Saved by product; the one saved last is applied automatically"
+    return [
+        Html(_label(origin)),
+        *_inputs(here, "sensitivity"),
+        Html(_label(expectation(form.sensitivity, state.inspection))),
+        *_inputs(here, "compare"),
+        Html(golden),
+        Html(advanced_settings_header(form, here.own.shows_more)),
+        Stack(_more(here)) if here.own.shows_more else None,
+        Html(_label(why) if why else ""),
+        Buttons([Button("Inspect", partial(inspect, here), icon.SEARCH, "plain", bool(why), True, failed=FAILED)], 34),
+        Html(html.head("Recipe")),
+        Dropdown("Kept as", saved_as, partial(_choose_recipe, here), kept_hint, options=names),
+        *_inputs(here, "product"),
+        Buttons(
+            [
+                Button("Save recipe…", partial(save, here), icon.DEVICE_FLOPPY, failed="It was not saved"),
+                Button("Recipes…", partial(recipes_dialog, page), icon.LIST, failed="The recipes were not changed"),
+            ],
+            30,
+        ),
+    ]
 
-    def _tell_refusal(self, done: Future[Any]) -> None:
-        """Report why an inspection did not start, unless the section shows that problem already."""
-        fault = None if done.cancelled() else done.exception()
-        if fault is not None and str(fault) != self._page.session.snapshot.inspection.problem:
-            tell_failure(self._page, FAILED, fault)
 
-    # --- building
+def inspect(here: Here[InspectionState]) -> None:
+    """Inspect the surface with the settings of the form."""
+    form, page = here.own.form, here.page
+    verb = page.session.defects.inspect(recipe_of(form, here.own.recipe), dies_of(form), against_of(form))
+    verb.add_done_callback(partial(_tell_refusal, page))
+    page.redraw()
 
-    def _build_recipe(self, gui: Any) -> None:
-        page = self._page
-        HtmlBlock(gui, html.head("Recipe"))
-        listed = gui.add_dropdown(
-            "Kept as", (NOT_SAVED,), hint="Saved by product; the one saved last is applied automatically"
-        )
-        self._recipes: BoundInput[str] = BoundInput(listed, self._choose_recipe, page, "The recipe was not changed")
-        self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
-        self._product.on_update(self._redrawing())
-        save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
-        recipes = button(
-            gui, "Recipes…", viser.Icon.LIST, self._on("The recipes were not changed", lambda: recipes_dialog(page))
-        )
-        in_a_row(gui, [save, recipes], 30)
 
-    def _build_search(self, gui: Any) -> None:
-        self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
-        self._expected = HtmlBlock(gui)
-        self._against = gui.add_dropdown(
-            "Compare", AGAINST, hint="A surface with one die has no others to compare with"
-        )
-        self._golden = HtmlBlock(gui)
-        for widget in (self._dial, self._against):
-            widget.on_update(self._redrawing())
+def save(here: Here[InspectionState]) -> None:
+    """Open the dialog that saves the form as a recipe of its product."""
+    recipe = recipe_of(here.own.form, here.own.recipe)
+    save_recipe_dialog(here.page, recipe, partial(_fill_in, here))
 
-    def _build_evidence(self, gui: Any) -> None:
-        self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
-        self._scales = gui.add_text("Scales, px", "", hint="Filters at which is looked; 0 is unfiltered, at most 40")
-        self._excluded = HtmlBlock(gui)
-        for widget in (self._evidence, self._scales):
-            widget.on_update(self._redrawing())
 
-    def _build_dies(self, gui: Any) -> None:
-        self._dies = gui.add_dropdown(
-            "Dies", DIES, hint="From the job where it names dies, else found, or entered here"
-        )
-        self._dies.on_update(self._redrawing())
-        self._given = gui.add_folder(None, visible=False)
-        with self._given:
-            self._pitch = OptionalPair(gui, "Pitch, µm", over=0, hint="From die to die, x × y")
-            self._corner = OptionalPair(gui, "Corner, µm", between=PLACE, hint="Lower left one of die 0,0, stage x, y")
-            self._size = OptionalPair(gui, "Die, µm", over=0, hint="Width × height; empty: as the pitch")
-            self._angle = with_decimals(gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise"), 4)
+def why_not(snapshot: Snapshot) -> str:
+    """Return the reason why no inspection can start now; empty if it can, or if one is running."""
+    data = snapshot.dataset
+    if data is None or snapshot.inspection.work:
+        return ""
+    if data.read_only is not None:
+        return f"Not possible: {data.read_only}"
+    return "Not yet: the surface still grows." if snapshot.scanning else ""
 
-    def _build_limits(self, gui: Any) -> None:
-        page, failed = self._page, "The limits were not changed"
-        self._edits = Debouncer(self._limit, guarded(page, failed))
-        per_die = gui.add_text("Max. per die", "", hint="Defects allowed on a die; empty for no limit")
-        per_mm2 = gui.add_text("Max. per mm²", "", hint="Defects allowed in 1 mm²; empty for no limit")
-        self._per_die: BoundInput[str] = BoundInput(per_die, lambda _: self._edits.made(), page, failed)
-        self._per_mm2: BoundInput[str] = BoundInput(per_mm2, lambda _: self._edits.made(), page, failed)
 
-    # --- what a person does
+def put(here: Here[InspectionState], name: str, value: Any) -> None:
+    """Change a setting of the form."""
+    here.keep(form=replace(here.own.form, **{name: value}))
 
-    @property
-    def excluded(self) -> tuple[Region, ...]:
-        """Excluded areas of every die."""
-        return self._form.excluded
 
-    def save(self) -> None:
-        """Open the dialog that saves the form as a recipe of its product."""
-        save_recipe_dialog(
-            self._page, self.recipe, lambda recipe: self._put(recipe, form_of(recipe, None, self._typed()))
-        )
+def _inputs(here: Here[InspectionState], *names: str, **state: Any) -> list[Input]:
+    return inputs_of(here.own.form, partial(put, here), *names, **state)
 
-    def exclude(self, areas: tuple[Region, ...]) -> None:
-        """Set the areas of every die that the next inspection excludes."""
-        self._form = replace(self._form, excluded=areas)
-        self._page.redraw()
 
-    def _choose_recipe(self, event: Any) -> None:
-        product, files = self._product.value.strip(), self._page.session.snapshot.defect_files
-        chosen = next((r for r in files.recipes_of(product) if r.name == event.target.value), None)
-        if chosen is not None:
-            self._put(chosen, form_of(chosen, None, self._typed()))
-        self._page.redraw()
+def _more(here: Here[InspectionState]) -> Elements:
+    form = here.own.form
+    given = form.dies == GIVEN and against_of(form) == "dies"
+    limits = inputs_of(form, partial(_put_limit, here), "max_per_die", "max_per_mm2", pause_s=COMMIT_S)
+    return [
+        *_inputs(here, "evidence", "scales_px"),
+        Html(exclusion_line_html(form)),
+        *_inputs(here, "dies"),
+        Stack(_inputs(here, "pitch_um", "corner_um", "size_um", "angle_deg")) if given else None,
+        *(replace(limit, failed=NOT_LIMITED) for limit in limits),
+    ]
 
-    def _choose_golden(self, name: str) -> None:
-        self._form = replace(self._form, golden=name)
-        self._page.redraw()
 
-    def _ask_golden(self) -> None:
-        """Choose a golden die from a file; its name includes the version only if a newer version exists."""
+def _put_limit(here: Here[InspectionState], name: str, text: str) -> Future[None] | None:
+    """Apply the limits to the present inspection; the verdict follows without another search."""
+    put(here, name, text)
+    limits, page = limits_of(here.own.form.max_per_die, here.own.form.max_per_mm2), here.page
+    if page.session.snapshot.inspection.inspection is None:
+        return None
+    answer = page.session.defects.limit(limits)
+    page.ask(NOT_LIMITED, answer)
+    return answer
 
-        def take(header: GoldenHeader) -> None:
-            stored = self._page.session.snapshot.defect_files.golden
-            newest = max((h.version for h in stored if h.name == header.name), default=header.version)
-            self._choose_golden(header.name if header.version == newest else f"{header.name}.{header.version}")
 
-        golden_file_dialog(self._page, take)
+def _tell_refusal(page: Page, done: Future[Any]) -> None:
+    """Report why an inspection did not start, unless the section shows that problem already."""
+    fault = None if done.cancelled() else done.exception()
+    if fault is not None and str(fault) != page.session.snapshot.inspection.problem:
+        tell_failure(page, FAILED, fault)
 
-    def _show_more(self) -> None:
-        self._shows_more = not self._shows_more
-        self._page.redraw()
 
-    def _limit(self) -> Future[None] | None:
-        """Apply the limits to the present inspection; the verdict follows without another search.
+def _fill_in(here: Here[InspectionState], recipe: DefectRecipe) -> None:
+    here.keep(recipe=recipe, form=form_of(recipe, None, here.own.form))
 
-        Returns None if there is no inspection.
-        """
-        page, limits = self._page, limits_of(self._per_die.value, self._per_mm2.value)
-        page.redraw()
-        if page.session.snapshot.inspection.inspection is None:
-            return None
-        answer = page.session.defects.limit(limits)
-        page.ask("The limits were not changed", answer)
-        return answer
 
-    # --- showing
+def _choose_recipe(here: Here[InspectionState], name: str) -> None:
+    product, files = here.own.form.product.strip(), here.page.session.snapshot.defect_files
+    chosen = next((recipe for recipe in files.recipes_of(product) if recipe.name == name), None)
+    if chosen is not None:
+        _fill_in(here, chosen)
 
-    def _take_up(self, snapshot: Snapshot) -> None:
-        """Fill the form in from the inspection, else from the recipe of the product, once per dataset and recipe."""
-        inspection, data = snapshot.inspection.inspection, snapshot.dataset
-        product = product_of(data.job) if data is not None else ""
-        own = snapshot.defect_files.recipe_of(product) or DefectRecipe(product=product)
-        recipe = inspection.recipe if inspection is not None else own
-        sources = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
-        if inspection is not None and recipe.limits != self._limits and not self._edits.under_way:
-            self._limits = recipe.limits
-            self._per_die.handle.value, self._per_mm2.handle.value = text_of(recipe.limits)
-        if sources != self._shown_for:
-            self._shown_for = sources
-            self._put(recipe, form_of(recipe, inspection, self._typed()))
 
-    def _show_recipe(self, snapshot: Snapshot, form: DefectForm) -> None:
-        """Show the name of the recipe that the form describes, or why its entries make no recipe."""
-        files, inspected = snapshot.defect_files, snapshot.inspection.inspection is not None
-        names = (NOT_SAVED, *(recipe.name for recipe in files.recipes_of(form.product.strip())))
-        if tuple(self._recipes.handle.options) != names:
-            self._recipes.handle.options = names
-        try:
-            now = recipe_of(form, self._recipe)
-        except MeasureError as fault:
-            self._recipes.show(NOT_SAVED)
-            self._origin.show(_label(str(fault)))
-            return
-        self._recipes.show(now.name if now in files.recipes else NOT_SAVED)
-        origin = recipe_origin_text(self._recipe, now, files, inspected)
-        self._origin.show(_label(f"{origin} {unreadable(files)}".rstrip()))
+def _ask_golden(here: Here[InspectionState], _: str) -> None:
+    """Choose a golden die from a file; its name includes the version only if a newer version exists."""
 
-    def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
-        """Fill in the form."""
-        self._recipe, self._form = recipe, form
-        self._dial.value, self._against.value, self._evidence.value = form.sensitivity, form.compare, form.evidence
-        self._product.value, self._scales.value, self._dies.value = form.product, form.scales_px, form.dies
-        self._pitch.handle.value, self._corner.handle.value = form.pitch_um, form.corner_um
-        self._size.handle.value, self._angle.value = form.size_um, form.angle_deg
-        self._per_die.handle.value, self._per_mm2.handle.value = form.max_per_die, form.max_per_mm2
+    def take(header: GoldenHeader) -> None:
+        stored = here.page.session.snapshot.defect_files.golden
+        newest = max((h.version for h in stored if h.name == header.name), default=header.version)
+        put(here, "golden", header.name if header.version == newest else f"{header.name}.{header.version}")
 
-    def _typed(self) -> DefectForm:
-        """Return the present entries of the form."""
-        return DefectForm(
-            sensitivity=float(self._dial.value),
-            compare=self._against.value,
-            evidence=self._evidence.value,
-            golden=self._form.golden,
-            excluded=self._form.excluded,
-            dies=self._dies.value,
-            pitch_um=self._pitch.handle.value,
-            corner_um=self._corner.handle.value,
-            size_um=self._size.handle.value,
-            angle_deg=float(self._angle.value),
-            product=self._product.value,
-            scales_px=self._scales.value,
-            max_per_die=self._per_die.value,
-            max_per_mm2=self._per_mm2.value,
-        )
+    golden_file_dialog(here.page, take)
 
-    def _redrawing(self) -> Any:
-        return guarded(self._page, "The form was not changed")(lambda _: self._page.redraw())
 
-    def _on(self, failed: str, act: Any) -> Any:
-        return guarded(self._page, failed)(lambda _: act())
+PICKS: dict[str, Callable[[Here[InspectionState], str], Any]] = {
+    "defect-golden": lambda here, name: put(here, "golden", name),
+    "defect-golden-file": _ask_golden,
+    "defect-more": lambda here, _: here.keep(shows_more=not here.own.shows_more),
+}
+"""What clicks on links and rows of the form do."""
+
+
+def _take_up(here: Here[InspectionState]) -> None:
+    """Fill the form in from the inspection, else from the recipe of the product, once per dataset and recipe."""
+    snapshot, own = here.snapshot, here.own
+    inspection, data = snapshot.inspection.inspection, snapshot.dataset
+    product = product_of(data.job) if data is not None else ""
+    recipe = snapshot.defect_files.recipe_of(product) or DefectRecipe(product=product)
+    if inspection is not None:
+        recipe = inspection.recipe
+        if recipe.limits != own.limits:
+            per_die, per_mm2 = text_of(recipe.limits)
+            own = replace(own, limits=recipe.limits, form=replace(own.form, max_per_die=per_die, max_per_mm2=per_mm2))
+    source = (data.path if data is not None else None, replace(recipe, limits=DefectLimits()))
+    if source != own.filled_from:
+        own = replace(own, filled_from=source, recipe=recipe, form=form_of(recipe, inspection, own.form))
+    here.own = own
+
+
+def _described(here: Here[InspectionState]) -> tuple[str, str]:
+    """Return the origin of the settings, or why they make no recipe, and the name that they are kept as."""
+    own, snapshot = here.own, here.snapshot
+    files, inspected = snapshot.defect_files, snapshot.inspection.inspection is not None
+    try:
+        now = recipe_of(own.form, own.recipe)
+    except MeasureError as fault:
+        return str(fault), NOT_SAVED
+    origin = f"{recipe_origin_text(own.recipe, now, files, inspected)} {unreadable(files)}".rstrip()
+    return origin, now.name if now in files.recipes else NOT_SAVED
 
 
 def _label(text: str) -> Markup:

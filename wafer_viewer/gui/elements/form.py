@@ -23,7 +23,7 @@ def form(spec: Spec, put: Callable[[str, Any], Any], *paths: str, **state: Any) 
 
 
 def spec_input(kind: type[Spec], path: str, value: Any, put: Callable[[Any], Any], **state: Any) -> el.Input:
-    """Return the input for a field of a spec: a choice, text, checkbox or number by its type."""
+    """Return the input for a field of a spec: a choice, text, checkbox, slider or number by its type."""
     field = settings_of(kind)[path]
     setting, limit = field.setting, field.limit
     if titles := setting.titles:
@@ -36,6 +36,8 @@ def spec_input(kind: type[Spec], path: str, value: Any, put: Callable[[Any], Any
     if field.kind is bool:
         return el.Checkbox(*parts, **state)
     least = limit.low if limit is not None else None
+    if field.kind is float and limit is not None and limit.low is not None and limit.high is not None:
+        return el.Slider(*parts, least=limit.low, most=limit.high, step=setting.step, **state)
     if field.kind in (int, float):
         return el.Number(*parts, step=setting.step, decimals=setting.decimals, least=least, **state)
     return el.NumberOrEmpty(*parts, over=least, **state)

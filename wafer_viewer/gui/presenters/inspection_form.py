@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 from markupsafe import Markup
 
@@ -15,7 +14,7 @@ from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Evidence, Inspection, verdict_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.model.spec import Fraction, Setting, Spec, replace
 from wafer_viewer.session.inspection.inspection_job import Against, Dies
 
 
@@ -72,52 +71,62 @@ def _typed(text: str, where: str) -> float | None:
 
 DIE, GOLDEN, FORM = "Die to die", "Die to golden die", "With the fitted form"
 AGAINST = (DIE, GOLDEN, FORM)
-EVIDENCE: dict[str, Evidence] = {"Height and picture": "both", "Height": "height", "Picture": "picture"}
 OF_JOB, FOUND, GIVEN = "The job's, or found", "Found", "Given"
 DIES = (OF_JOB, FOUND, GIVEN)
+_EVIDENCE = Setting(
+    "Look at",
+    "Where a defect may show",
+    titles={"both": "Height and picture", "height": "Height", "picture": "Picture"},
+)
 
 
-@dataclass(frozen=True, slots=True)
-class DefectForm:
+def _choice(title: str, about: str, choices: tuple[str, ...]) -> Setting:
+    return Setting(title, about, titles=dict(zip(choices, choices, strict=True)))
+
+
+class DefectForm(Spec, frozen=True, kw_only=True):
     """Inputs of the inspection form; golden: name of the chosen golden die, '' for none."""
 
-    sensitivity: float = DefectRecipe().sensitivity
-    compare: str = DIE
-    evidence: str = "Height and picture"
+    error = MeasureError
+    sensitivity: Annotated[
+        Fraction, Setting("Sensitivity", "0 finds only clear defects, 1 everything that may be one", step=0.05)
+    ] = DefectRecipe().sensitivity
+    compare: Annotated[str, _choice("Compare", "A surface with one die has no others to compare with", AGAINST)] = DIE
+    evidence: Annotated[Evidence, _EVIDENCE] = "both"
     golden: str = ""
-    dies: str = OF_JOB
-    pitch_um: str = ""
-    corner_um: str = ""
-    size_um: str = ""
-    angle_deg: float = 0.0
-    product: str = ""
-    scales_px: str = ""
+    dies: Annotated[str, _choice("Dies", "From the job where it names dies, else found, or entered here", DIES)] = (
+        OF_JOB
+    )
+    pitch_um: Annotated[str, Setting("Pitch, µm", "From die to die, x × y")] = ""
+    corner_um: Annotated[str, Setting("Corner, µm", "Lower left corner of die 0,0, stage x, y")] = ""
+    size_um: Annotated[str, Setting("Die, µm", "Width × height; empty: as the pitch")] = ""
+    angle_deg: Annotated[float, Setting("Angle, °", "Anticlockwise", decimals=4, step=0.01)] = 0.0
+    product: Annotated[str, Setting("Product", "A golden die of another product is refused")] = ""
+    scales_px: Annotated[str, Setting("Filters, px", "Filter widths; 0: unfiltered, at most 40")] = ""
     excluded: tuple[Region, ...] = ()
-    max_per_die: str = ""
-    max_per_mm2: str = ""
+    max_per_die: Annotated[str, Setting("Max. per die", "Defects allowed on a die; empty: no limit")] = ""
+    max_per_mm2: Annotated[str, Setting("Max. per mm²", "Defects allowed in 1 mm²; empty: no limit")] = ""
+
+
+_SHARED = ("sensitivity", "evidence", "golden", "product", "excluded")
+"""Settings that form and recipe have alike."""
+_LATTICE = ("pitch_um", "corner_um", "size_um", "angle_deg")
 
 
 def form_of(recipe: DefectRecipe, inspection: Inspection | None, before: DefectForm = DefectForm()) -> DefectForm:
     """Return the form of a recipe and of an inspection's die grid; the source of dies is kept from `before`."""
     by_form = inspection is not None and inspection.grid is None
-    compare = GOLDEN if recipe.golden else FORM if by_form else DIE
     grid = inspection.grid if inspection is not None else None
     per_die, per_mm2 = text_of(recipe.limits)
-    made = DefectForm(
-        sensitivity=recipe.sensitivity,
-        compare=compare,
-        evidence=next(name for name, evidence in EVIDENCE.items() if evidence == recipe.evidence),
-        golden=recipe.golden,
+    return DefectForm(
+        compare=GOLDEN if recipe.golden else FORM if by_form else DIE,
         dies=before.dies,
-        product=recipe.product,
         scales_px=", ".join(f"{scale:g}" for scale in recipe.scales_px),
-        excluded=recipe.excluded,
         max_per_die=per_die,
         max_per_mm2=per_mm2,
+        **{name: getattr(recipe, name) for name in _SHARED},
+        **({name: getattr(before, name) for name in _LATTICE} if grid is None else _shown(grid)),
     )
-    lattice = before if grid is None else replace(made, **_shown(grid))
-    places = {name: getattr(lattice, name) for name in ("pitch_um", "corner_um", "size_um", "angle_deg")}
-    return replace(made, **places)
 
 
 def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
@@ -129,16 +138,10 @@ def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
         raise MeasureError(
             f"No golden die is chosen: choose one where the list has any, or compare {FORM[0].lower()}{FORM[1:]}."
         )
-    return changed(
-        old,
-        sensitivity=form.sensitivity,
-        evidence=EVIDENCE[form.evidence],
-        product=form.product.strip(),
-        golden=form.golden if form.compare == GOLDEN else "",
-        scales_px=_scales(form.scales_px),
-        excluded=form.excluded,
-        limits=limits_of(form.max_per_die, form.max_per_mm2),
-    )
+    shared = {name: getattr(form, name) for name in _SHARED} | {"product": form.product.strip()}
+    golden = form.golden if form.compare == GOLDEN else ""
+    limits = limits_of(form.max_per_die, form.max_per_mm2)
+    return replace(old, **{**shared, "golden": golden}, scales_px=_scales(form.scales_px), limits=limits)
 
 
 def against_of(form: DefectForm) -> Against:

@@ -66,10 +66,10 @@ def plan_step(here: Here[PlanState]) -> Elements | None:
     why = _why_not(snapshot, checks)
     job = snapshot.draft.job
     operating = job is not None and job.released and not view.everything
-    inside = operator_view(here, checks) if operating else _whole_plan(here, checks)
     begin = partial(start, here)
-    return [
-        Stack(inside, key="operator" if operating else "plan", failed=NOT_CHANGED),
+    return [  # each view has places of its own: what is hidden must not come between neighbours
+        Stack(operator_view(here, checks), failed=NOT_CHANGED) if operating else None,
+        Stack(_whole_plan(here, checks), failed=NOT_CHANGED) if not operating else None,
         Html("" if operating and stops(checks) else start_hint(snapshot.draft, why)),
         Button(
             "Start scan", begin, ICON.PLAYER_PLAY, "leading", why is not None, True, failed=NOT_STARTED, height_px=46
