@@ -191,9 +191,9 @@ def cloud_of(dataset: Path) -> Cloud:
             clips_s = {"a box": followed(seat, lambda: set_numbers(page, "X, µm", -side_um / 2, side_um / 2))}
             counted_s = (page.evaluate("window.headAt") - began_ms) / 1e3
             clips_s["heights"] = followed(seat, lambda: set_numbers(page, "Z, µm", 20, 60))
-            clips_s["confidence"] = followed(seat, lambda: put(page, text_field(page, "At least"), "0.95"))
+            clips_s["confidence"] = followed(seat, lambda: put(page, text_field(page, "Minimum confidence"), "0.95"))
             page.get_by_role("button", name="Reset", exact=True).last.click()
-            put(page, text_field(page, "At least"), "0")
+            put(page, text_field(page, "Minimum confidence"), "0")
             seat.settled_s(seat.now_ms())
             page.keyboard.press("l")
             page.locator(".wv-slab-points").wait_for(timeout=4e3 * PATIENCE_S)

@@ -11,7 +11,7 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, go_to, press, title_is
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.surface.points_section import amount
+from wafer_viewer.gui.steps.surface.points import amount
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 LOW = 0.8

@@ -26,7 +26,7 @@ from tests.browser.steps import (
 )
 from wafer_viewer.draw.number_format import number, share
 from wafer_viewer.gui.scenes.surface_scene import source_of
-from wafer_viewer.gui.surface.points_section import amount
+from wafer_viewer.gui.steps.surface.points import amount
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, HeightMap, Origin
 from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceStatistics
 from wafer_viewer.session.session import Session

@@ -14,9 +14,11 @@ import pytest
 import tifffile
 
 from tests.support.compared_surfaces import taken, tilted
+from tests.support.patience import until
 from tests.support.surfaces import STEP_UM, gauge_blocks
 from wafer_viewer.cli.app import main
-from wafer_viewer.gui.gauge.gauge_panel import FaceFinder
+from wafer_viewer.gui.steps.gauge.gauge_step import FACES, search_faces
+from wafer_viewer.gui.widgets.ask import Ask
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.errors import ComputeError
@@ -95,10 +97,12 @@ def test_faces_comparison_and_outliers_name_the_same_mend(files, monkeypatch, ca
     for words in commands:
         assert main([str(word) for word in words]) == 2
         assert str(fault.value) in capsys.readouterr().err
-    finder = FaceFinder(page := Page(files))
-    finder._find(0)
+    page = Page(files)
+    here = SimpleNamespace(page=page, ask=Ask(page))
+    search_faces(here)
+    until(lambda: here.ask.known(FACES).problem)
     guarded(page, "The surfaces were not compared")(page.compare)()
-    assert [finder.problem, *(told.text for told in page.told)] == [str(fault.value)] * 2
+    assert [here.ask.known(FACES).problem, *(told.text for told in page.told)] == [str(fault.value)] * 2
     check = check_open3d()
     assert not check.well
     assert f"run '{check.mend}'" in str(fault.value)

@@ -16,8 +16,10 @@ from tests.browser.sessions import seen_session as seen
 from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.header import STEPS, done, possible
 from wafer_viewer.gui.page.panels import bottom_panel_height_px
-from wafer_viewer.gui.presenters import measurement, surface
+from wafer_viewer.gui.presenters import measurement
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.surface import focus_evidence
+from wafer_viewer.gui.steps.surface.focus_evidence import focus_measurement_text
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.style import DARK, LIGHT, page_style
@@ -161,52 +163,52 @@ def test_the_guard_tells_what_nobody_foresaw(caplog):
 
 def test_every_verdict_says_in_words_what_its_sign_says():
     curve = seen.a_focus_curve(0.0, 0.0, measured=False)
-    text = surface.verdicts(curve)
+    text = focus_evidence.verdicts(curve)
     for words in ("passed", "not passed", "gate is off", "Is there texture to focus on?"):
         assert words in text
     assert text.count("<tr") == 1 + len(curve.verdicts)
-    assert "Not measured" in surface.answer(curve)
-    assert "Ambiguous peak" in surface.answer(curve)
+    assert "Not measured" in focus_evidence.answer_card(curve)
+    assert "Ambiguous peak" in focus_evidence.answer_card(curve)
 
 
 def test_scores_and_limits_read_in_one_unit_that_needs_no_logarithm():
     curve = seen.a_focus_curve(0.0, 0.0)
-    text = surface.verdicts(curve)
+    text = focus_evidence.verdicts(curve)
     for words in ("× 2.89", 'over</span> × 1.56"', "× 21.1", "up to</span> 30.0\u202f%", "0.31\u202fµm"):
         assert words.replace('"', "") in text
     assert "powers" not in text
     assert "1 at an end" not in text
-    assert {v.unit for v in curve.verdicts} <= set(surface.FIGURES)
+    assert {v.unit for v in curve.verdicts} <= set(focus_evidence.FIGURES)
 
 
 def test_the_units_of_gates_are_known():
-    assert POWERS in surface.FIGURES
+    assert POWERS in focus_evidence.FIGURES
     odd = replace(seen.a_focus_curve(0.0, 0.0).verdicts[0], unit="furlongs", score=1.0, limit=2.0)
-    text = surface.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
+    text = focus_evidence.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
     assert "in furlongs" in text
     assert "1.00" in text
 
 
 def test_what_is_off_says_so_once():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert surface.verdicts(curve).count("gate is off") == 1
+    assert focus_evidence.verdicts(curve).count("gate is off") == 1
     text = replace(curve.verdicts[-1], note="Fewer than 12 frames.")
-    assert "gate is off · Fewer than 12 frames." in surface.verdicts(replace(curve, verdicts=(text,)))
+    assert "gate is off · Fewer than 12 frames." in focus_evidence.verdicts(replace(curve, verdicts=(text,)))
 
 
 @given(st.text())
 def test_what_a_gate_says_does_not_become_markup(text):
     curve = seen.a_focus_curve(0.0, 0.0)
     odd = replace(curve, origin=text, verdicts=(replace(curve.verdicts[0], question=text, note=text, unit=text),))
-    said = surface.verdicts(odd) + surface.answer(odd)
+    said = focus_evidence.verdicts(odd) + focus_evidence.answer_card(odd)
     assert escape(text) in said
 
 
 def test_a_simulated_curve_says_so():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert surface.focus_measurement_text(curve).startswith("SIMULATED · Tenengrad")
-    assert "SIMULATED" not in surface.focus_measurement_text(replace(curve, simulated=False))
-    assert surface.focus_measurement_text(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
+    assert focus_measurement_text(curve).startswith("SIMULATED · Tenengrad")
+    assert "SIMULATED" not in focus_measurement_text(replace(curve, simulated=False))
+    assert focus_measurement_text(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
 
 
 @pytest.mark.parametrize(

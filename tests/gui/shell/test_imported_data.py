@@ -92,6 +92,12 @@ def test_the_header_says_imported_over_imported_data_and_the_rig_where_it_can_mo
     assert "SIMULATED" in header_state(snapshot(imported=False), View(step="surface"))
 
 
+def test_the_header_shows_no_position_of_a_rig_that_did_not_take_the_data():
+    assert "X&nbsp;" in header_state(snapshot(imported=False), View(step="surface"))
+    assert "X&nbsp;" not in header_state(snapshot(imported=True), View(step="surface"))
+    assert "X&nbsp;" in header_state(snapshot(imported=True), View(step="plan"))
+
+
 class _Page:
     """As much of a page as a click on the map asks for."""
 

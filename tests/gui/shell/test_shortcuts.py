@@ -20,7 +20,7 @@ from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, shortc
 from wafer_viewer.gui.shell.tour_guide import Welcome
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.steps.report import report_commands
-from wafer_viewer.gui.surface.compare_section import CompareSection
+from wafer_viewer.gui.steps.surface.comparison import comparison_commands
 from wafer_viewer.gui.widgets.controls import Command, looking, spoken
 from wafer_viewer.model.job import Notebook, SavedView
 from wafer_viewer.model.measurement.tools import TOOLS
@@ -47,9 +47,10 @@ def all_commands() -> list[Command]:
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
-    panels = (ReviewPanel, CompareSection, DefectBeside, DefectMap, DefectSection, DefectStack, Welcome)
-    of_panels = [command for panel in panels for command in panel.commands(MagicMock())] + report_commands(MagicMock())
-    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
+    panels = (ReviewPanel, DefectBeside, DefectMap, DefectSection, DefectStack, Welcome)
+    of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
+    of_steps = [*report_commands(MagicMock()), *comparison_commands(MagicMock())]
+    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels, *of_steps]
 
 
 def test_no_key_does_two_things():

@@ -10,7 +10,7 @@ import pytest
 
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.gui.surface.points_section import counted, refused_legend
+from wafer_viewer.gui.steps.surface.points import counted, refused_legend
 from wafer_viewer.gui.tools.clip_box import ClipBoxFaces, along_axis, ball_mm, corners_mm, pulled
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.rendering.render_request import (

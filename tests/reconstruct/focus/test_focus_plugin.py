@@ -36,7 +36,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import wafer_viewer as wv
-from wafer_viewer.gui.presenters.surface import FOCUS, summary
+from wafer_viewer.gui.steps.surface.reconstruction import FOCUS, summary
 from wafer_viewer.reconstruct.live_field import LiveField
 from wafer_viewer.session.reporting.report_data import recipe_pairs
 

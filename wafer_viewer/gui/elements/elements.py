@@ -60,10 +60,11 @@ class Button(Element):
 
 @dataclass(frozen=True, slots=True)
 class Buttons(Element):
-    """Buttons of equal widths side by side, outlined."""
+    """Buttons of equal widths side by side, outlined; at_foot: always visible above the leading button."""
 
     buttons: Sequence[Button]
     height_px: int = 32
+    at_foot: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +130,7 @@ class NumberPair(Input):
 
 @dataclass(frozen=True, slots=True)
 class Slider(Input):
-    """A number between `least` and `most`, by a slider."""
+    """A number between `least` and `most`, or a pair of them with a thumb each and no numbers below."""
 
     least: float = 0.0
     most: float = 1.0
@@ -138,9 +139,10 @@ class Slider(Input):
 
 @dataclass(frozen=True, slots=True)
 class NumberOrEmpty(Input):
-    """A number over `over`, or None while the field is empty."""
+    """A number over `over`, or None while the field is empty; whole: without decimals."""
 
     over: float | None = None
+    whole: bool = False
     pause_s: float | None = COMMIT_S
 
 

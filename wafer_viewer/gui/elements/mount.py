@@ -17,6 +17,7 @@ from wafer_viewer.gui.widgets.controls import (
     HtmlBlock,
     ToggleGroup,
     add_html,
+    at_foot_style,
     controlled,
     leading_style,
     outlined_style,
@@ -173,7 +174,9 @@ class ButtonsWidget:
             ButtonWidget(gui, page, replace(placed, element=button, failed=button.failed or placed.failed))
             for button in row.buttons
         ]
-        add_html(gui, row_style([button.handle for button in self._buttons], row.height_px), placed.order)
+        handles = [button.handle for button in self._buttons]
+        foot = Markup().join(map(at_foot_style, handles)) if row.at_foot else Markup()
+        add_html(gui, row_style(handles, row.height_px) + foot, placed.order)
 
     def show(self, element: el.Buttons) -> None:
         """Bring each button up to date."""
@@ -192,7 +195,7 @@ class ToggleWidget:
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
         self._element = element = placed.element
         put = guarded(page, placed.failed)(lambda key: self._element.put(key))
-        self._group = ToggleGroup(gui, element.label, element.options, put, order=placed.order)
+        self._group = ToggleGroup(gui, element.label, element.options, put, order=placed.order, hint=element.hint)
 
     def show(self, element: el.Toggle) -> None:
         """Highlight the option that is set."""
@@ -225,8 +228,8 @@ class InputWidget:
     def show(self, element: el.Input) -> None:
         """Set value and state, and the callback of the next change."""
         self._element = element
-        if isinstance(element, el.Dropdown):
-            set_prop(self._input.handle, "options", tuple(element.options))
+        for name, value in _props(element).items():
+            set_prop(self._input.handle, name, value)
         self._input.show(_shown(element))
         self._input.enable(not element.disabled)
         set_prop(self._input.handle, "visible", True)
@@ -238,13 +241,35 @@ class InputWidget:
     def _put(self) -> Any:
         element, value = self._element, self._input.value
         if isinstance(element, el.NumberOrEmpty):
-            value = number_of(value, element.label, over=element.over)
+            value = number_of(value, element.label, over=element.over, integer=element.whole)
         return element.put(value)
 
 
 def _shown(element: el.Input) -> Any:
     """Return the value of an element as its widget has it."""
     return text_of(element.value) if isinstance(element, el.NumberOrEmpty) else element.value
+
+
+def _props(element: el.Input) -> dict[str, Any]:
+    """Return the properties of a widget that may differ from state to state."""
+    match element:
+        case el.Dropdown():
+            return {"options": tuple(element.options)}
+        case el.Slider():
+            ends = {"min": element.least, "max": element.most, "step": element.step}
+            return ends | {"precision": len(f"{element.step:.6f}".rstrip("0").partition(".")[2])}
+        case el.NumberPair(decimals=int()):
+            return {"step": element.step, "precision": element.decimals}
+        case _:
+            return {}
+
+
+def _slider(gui: viser.GuiApi, element: el.Slider, order: float) -> Any:
+    e, ends = element, (element.least, element.most, element.step)
+    if isinstance(e.value, tuple):
+        value: Any = e.value
+        return gui.add_multi_slider(e.label, *ends, value, marks=(), hint=e.hint, order=order)
+    return gui.add_slider(e.label, *ends, e.value, hint=e.hint, order=order)
 
 
 def _number(gui: viser.GuiApi, element: Any, order: float) -> Any:
@@ -258,11 +283,6 @@ def _pair(gui: viser.GuiApi, element: el.NumberPair, order: float) -> Any:
     least = None if element.least is None else (element.least, element.least)
     handle = gui.add_vector2(element.label, element.value, min=least, step=element.step, hint=element.hint, order=order)
     return handle if element.decimals is None else with_decimals(handle, element.decimals)
-
-
-def _slider(gui: viser.GuiApi, element: el.Slider, order: float) -> Any:
-    ends = element.least, element.most, element.step
-    return gui.add_slider(element.label, *ends, element.value, hint=element.hint, order=order)
 
 
 def _dropdown(gui: viser.GuiApi, element: el.Dropdown, order: float) -> Any:

@@ -10,7 +10,8 @@ from typing import Any, Generic, TypeVar
 from wafer_viewer.gui.elements.elements import Elements
 from wafer_viewer.gui.elements.mount import Mount
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.page.panels import BottomPanel
+from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets.ask import Ask
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -38,6 +39,10 @@ class Here(Generic[C]):
         self.redraw()
 
 
+Picks = Mapping[str, Callable[[Here[C], str], Any]]
+"""Callbacks of clicks on elements of `html.pick`, by subject; they get the key."""
+
+
 class StepPanel(Generic[C]):
     """The part of the page that shows a step.
 
@@ -51,7 +56,7 @@ class StepPanel(Generic[C]):
         step: Callable[[Here[C]], Elements | None],
         own: C,
         failed: str,
-        picks: Mapping[str, Callable[[Here[C], str], Any]] = MappingProxyType({}),
+        picks: Picks[C] = MappingProxyType({}),
     ) -> None:
         self.here = Here(page, own)
         self._step = step
@@ -63,3 +68,25 @@ class StepPanel(Generic[C]):
         """Show the step as it is now."""
         self.here.snapshot, self.here.view = snapshot, view
         self._mount.show(self._step(self.here))
+
+
+class StepDock(StepPanel[C]):
+    """The part of the panel below the scene that shows a step while the view shows its curve."""
+
+    def __init__(
+        self,
+        page: Page,
+        curve: Below,
+        step: Callable[[Here[C]], Elements | None],
+        own: C,
+        failed: str,
+        picks: Picks[C] = MappingProxyType({}),
+    ) -> None:
+        self._below = BottomPanel(page, curve)
+        with self._below.tab:
+            super().__init__(page, step, own, failed, picks)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the step as it is now, if its curve is shown."""
+        if self._below.show(view):
+            super().show(snapshot, view)

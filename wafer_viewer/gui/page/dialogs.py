@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -42,48 +43,6 @@ FIELDS: dict[str, str] = {
     "Password": "Of a person who is listed, not that of the page",
     "Product": "Product on the wafer",
     "Exposure, µs": "Of the live picture and of the search for the focus",
-    # Surface
-    "Show": "The stitched surface, or one field",
-    "Colour by": "What the colours mean",
-    "Size, px": "Of a point on the screen, at the place looked at",
-    "Shade, %": "Shade in hollows, so that points of one colour show their relief; 0 draws none",
-    "At least": "Confidence that a point needs to be drawn; 0 draws all",
-    "Brush, µm": "Heights that light up in scene, map and profile, µm",
-    "Refused points": "Points that gates refused, at the height of their refused peak, coloured by reason",
-    "X, µm": "Clip box along X, from and to, stage µm",
-    "Y, µm": "Clip box along Y, from and to, stage µm",
-    "Z, µm": "Heights of the clip box, from and to, µm over the zero chosen",
-    "Numbers of": "All of what is shown, what is in view, or the selection",
-    "Colours": "Monotonic in lightness; all but Viridis and Cividis keep their light end on the surface",
-    "Range": "Range of values that the colours cover",
-    "By hand": "Lowest and highest value of the colours",
-    "Height, ×": "Exaggeration of z; 1 is the true shape, at most 20",
-    "Hillshade, %": "Light from the north-west; 0 shows colours as the bar does",
-    "All-in-focus, %": "Strength of the all-in-focus picture in the colours",
-    "One frame": "The field as the camera saw it at one z",
-    "One z": "All fields as the camera saw them at one z",
-    "Frame": "Number of the frame, from the lowest",
-    "z, µm": "Stage z of the frames, µm",
-    "Preset": "All settings at once",
-    "Drift": "Correction of lateral drift between frames",
-    "Focus measure": "Measure of sharpness",
-    "Window": "Pixels on a side over which focus is measured; odd",
-    "Peak": "Interpolation of the height between two frames",
-    "Second window": "Whether a window twice as wide must give the same height",
-    "Beside walls": "Treatment of heights beside walls, where light bleeds",
-    "Smoothing": "Filter of the heights shown; measurements use the measured heights",
-    "Outliers": "Isolated heights to remove",
-    "Fill": "Gaps to fill; filled pixels are marked",
-    # Compare
-    "Compare with": "The other surface",
-    "Align": "Registration of one surface to the other before they are subtracted",
-    "Keep height and tilt": "Whether they stay as measured, so that a common change shows",
-    # Measure
-    "Heights from": "Zero of the heights: the stage's, or a plane or form fitted to the surface",
-    "Width, µm": "Averaging width across the line, µm; 0 is one pixel",
-    "Row": "Number of the row of pixels, 0 the top one",
-    "Column": "Number of the column of pixels, 0 the left one",
-    "Cursors, µm": "Two places along the line, µm from its start",
     # Gauge check
     "Blocks": "Serial numbers of the blocks, / between them",
     "U (k = 2), µm": "Expanded uncertainty of the certified step",
@@ -94,10 +53,6 @@ FIELDS: dict[str, str] = {
     "Signed by": "Who signs the check; recorded in the log and in reports",
     "Done by": "Who changes the z scale; recorded in the log",
     "Reason": "Reason, recorded in the log",
-    "Limit, ± µm": "Largest error allowed, on either side; empty: no verdict",
-    "Blocks, °C": "Temperature of the blocks; empty: not measured",
-    "Tolerance, µm": "Upper limit less lower limit of the product; empty: none",
-    "Next in, days": "The next check is due after so many days",
     "Tolerance": "Upper limit less lower, in the unit of the values; empty: that of the job, if any",
     "Method": "How the study is evaluated, both by AIAG",
     # Dialogs
@@ -238,6 +193,36 @@ class Dialog:
             problem.show(Markup('<div class="wv-note fault">{}</div>').format(html.with_micro_sign(str(fault))))
             return
         self.close()
+
+
+SIGNED_S = 20.0
+"""Longest time to record a signature, which is awaited so that the dialog can show its error."""
+
+
+def sign_dialog(
+    dialog: Dialog,
+    content: Markup,
+    verb: tuple[str, Any],
+    act: Callable[[str, str], Future[Any]],
+    failed: str,
+    *,
+    label: str = "Signed by",
+    name: str = "",
+    asks_why: bool = True,
+) -> None:
+    """Complete a dialog that asks who signs, and why; `act` gets both. verb: label and icon of the button."""
+    gui = dialog.page.gui
+    with dialog.modal:
+        HtmlBlock(gui, content)
+        signature = gui.add_text(label, dialog.page.browser.name or name)
+        reason = gui.add_text("Reason", "") if asks_why else None
+
+    def sign() -> None:
+        if not signature.value.strip():
+            raise WaferViewerError("The signature is missing: type your name.")
+        act(signature.value.strip(), reason.value.strip() if reason is not None else "").result(SIGNED_S)
+
+    dialog.answers(*verb, sign, failed)
 
 
 def _on_key(marker: str, handle: Any) -> Markup:

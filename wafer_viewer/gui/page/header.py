@@ -13,7 +13,6 @@ from markupsafe import Markup
 from wafer_viewer.draw.number_format import THIN, number, share
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.stop import can_stop
-from wafer_viewer.gui.presenters import surface as stitching
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, add_html, button, set_prop
@@ -23,7 +22,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.job import Job, keys_under_review
 from wafer_viewer.session.rendering.render_request import Statistics
-from wafer_viewer.session.state.snapshot import ControlState, RigStatus, Snapshot, SurfaceInfo
+from wafer_viewer.session.state.snapshot import ControlState, RigStatus, Snapshot, StitchingInfo, SurfaceInfo
 
 # ----------------------------------------------------------------------------------------------------------- status bar
 
@@ -64,7 +63,7 @@ class StatusStrip:
             placement(snapshot.surface if view.on_surface else None),
         ]
         items = [_item(*words) for words in entries if words[0]]
-        left = Markup("").join([*items, Markup('<span class="wv-xyz">{}</span>').format(where(snapshot.rig))])
+        left = Markup("").join([*items, Markup('<span class="wv-xyz">{}</span>').format(where(snapshot, view))])
         right = _controls(snapshot.control, self._page.browser.key)
         self._strip.show(Markup('<div class="wv-strip" role="contentinfo"><div>{}</div>{}</div>').format(left, right))
 
@@ -140,8 +139,14 @@ def surface(
     return (done + filled, "", f"Result {info.result}."), (f"{share(max(0.0, missing))} unmeasured", "", reasons)
 
 
-def where(rig: RigStatus) -> Markup:
-    """Return the stage position in mm as HTML, for the header, or for the status bar in narrow windows."""
+def where(snapshot: Snapshot, view: View) -> Markup:
+    """Return the stage position in mm as HTML, for the header, or for the status bar in narrow windows.
+
+    Empty over data that were taken elsewhere.
+    """
+    rig = snapshot.rig
+    if _taken_elsewhere(snapshot, view):
+        return Markup()
     axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
     position = Markup("").join(
         Markup("{}&nbsp;<span>{}</span> ").format(axis, number(um / 1000, 4, signed=True)) for axis, um in axes
@@ -153,8 +158,18 @@ def placement(info: SurfaceInfo | None) -> Words:
     """Return the number of fields placed by the stage alone; empty if there are none."""
     if info is None or info.stitching is None:
         return "", "", ""
-    words, reasons = stitching.by_stage(info.stitching, info.n_fields)
+    words, reasons = by_stage(info.stitching, info.n_fields)
     return words, "attention" if words else "", reasons
+
+
+def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
+    """Return status text and notes on fields placed by the stage alone; both empty if there are none."""
+    if not info.n_by_stage:
+        return "", ""
+    reasons = "; ".join(note for note in info.notes if "the stage" in note)
+    if not info.n_believed:
+        return "Stitched by the stage alone", reasons
+    return f"{number(info.n_by_stage, 0)} of {number(n_fields, 0)} fields by the stage alone", reasons
 
 
 def _days(days: int) -> str:
@@ -472,26 +487,32 @@ def _mark(snapshot: Snapshot) -> Markup:
 
 
 def _state(snapshot: Snapshot, view: View) -> Markup:
-    rig = snapshot.rig
     switch = icon(viser.Icon.SUN if view.dark else viser.Icon.MOON, 19)
     name = "Light" if view.dark else "Dark"
     return Markup(
         '<div class="wv-state"><div>{pill_over}<div class="wv-where">{where}</div></div>'
         '<span class="wv-switch" title="{name} page" aria-label="{name} page" {pick}>{switch}</span></div>'
-    ).format(pill_over=_pill_over(snapshot, view), where=where(rig), name=name, pick=pick("theme"), switch=switch)
+    ).format(
+        pill_over=_pill_over(snapshot, view), where=where(snapshot, view), name=name, pick=pick("theme"), switch=switch
+    )
 
 
 def _pill_over(snapshot: Snapshot, view: View) -> Markup:
     """Return the status pill: of imported data if they are shown and the rig is at rest, else of the rig."""
-    data, rig = snapshot.dataset, snapshot.rig
-    at_rest = rig.state in ("starting", "ready", "absent")
-    if data is None or not data.imported or data.simulated or not view.on_surface or not at_rest:
+    rig = snapshot.rig
+    if not _taken_elsewhere(snapshot, view):
         return _pill(rig)
     state = f"{rig.name}{', simulated' if rig.simulated else ''}: {rig.state}"
     title = f"The data were taken elsewhere. {state}."
     return Markup(
         '<span class="wv-pill imported" title="{}"><i></i><span><em>Imported</em> · no rig</span></span>'
     ).format(title)
+
+
+def _taken_elsewhere(snapshot: Snapshot, view: View) -> bool:
+    """Return whether imported data are shown while the rig is at rest."""
+    data, at_rest = snapshot.dataset, snapshot.rig.state in ("starting", "ready", "absent")
+    return data is not None and data.imported and not data.simulated and view.on_surface and at_rest
 
 
 def _pill(rig: RigStatus) -> Markup:

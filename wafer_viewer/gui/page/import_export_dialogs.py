@@ -15,13 +15,14 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.dialogs import Dialog, format_time, open_dataset, open_surface
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.surface import surface_name
+from wafer_viewer.gui.state.view_state import Counted, View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for, suffix_of
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.roles import AuditEntry
+from wafer_viewer.model.surface.comparison import FACE_TITLES, comparison_of
 from wafer_viewer.model.surface_format import Reading
 
 # --------------------------------------------------------------------------------------------------------- audit dialog
@@ -136,6 +137,17 @@ def load_plan_dialog(page: Page) -> None:
         page.ask("The plan was not loaded", page.session.load_plan(files.path()))
 
     dialog.answers("Load", viser.Icon.FOLDER_OPEN, load, "The plan was not loaded")
+
+
+PARTS_COUNTED: dict[Counted, str] = {"all": "", "view": ", in view", "selection": ", selection"}
+
+
+def surface_name(view: View) -> str:
+    """Return the name of the surface part that statistics cover, such as ``Field 5, in view``."""
+    part, compared = PARTS_COUNTED[view.counted], comparison_of(view.show)
+    if compared is not None:
+        return FACE_TITLES[compared[1]][1] + part
+    return (f"Field {view.show}" if view.show else "Stitched surface") + part
 
 
 def export_dialog(page: Page) -> None:

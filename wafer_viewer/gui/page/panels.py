@@ -60,7 +60,7 @@ class VerdictSection:
 
     def show(self, snapshot: Snapshot) -> None:
         """Update the section."""
-        self._cell.show(_content(snapshot))
+        self._cell.show(verdict_html(snapshot))
 
 
 def unfold(*, more: bool) -> Markup:
@@ -81,7 +81,8 @@ def has_features(snapshot: Snapshot) -> bool:
     return data is not None and any(feature.has_place for feature in data.job.features)
 
 
-def _content(snapshot: Snapshot) -> Markup:
+def verdict_html(snapshot: Snapshot) -> Markup:
+    """Return the verdict section; empty if the job has no feature to judge, or while a scan runs."""
     verdict = snapshot.operating.verdict
     if not has_features(snapshot) or snapshot.scanning:
         return Markup()

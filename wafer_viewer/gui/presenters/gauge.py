@@ -1,18 +1,15 @@
-"""HTML of the gauge check: procedure, verdict, repeats, budget, and the study. Pure functions."""
+"""HTML of a check against gauge blocks: verdict, repeats, certificate, budget. Pure functions."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Literal
 
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, share, value_and_u, with_unit
-from wafer_viewer.draw.quantities import UNIT_SIGNS
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.gauge import (
@@ -21,16 +18,12 @@ from wafer_viewer.model.gauge import (
     GaugeCheck,
     GaugeLine,
     GaugeRepeat,
-    GaugeRR,
-    Method,
     Role,
     ScaleCorrection,
 )
 from wafer_viewer.model.measurement.measurements import StepHeight
-from wafer_viewer.model.quantity import Length, Unit
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.gauge.repeat_scans import Studied
-from wafer_viewer.session.state.snapshot import Snapshot
 
 SOON_DAYS = 30
 """A certificate that expires within this many days gets a warning."""
@@ -216,164 +209,6 @@ def _runs_out(paper: Certificate, today: date) -> Markup:
 def _size(face: Region) -> str:
     x0, y0, x1, y1 = face.bounds_um
     return f"{number(x1 - x0, 0)} × {number(y1 - y0, 0)}"
-
-
-PointName = Literal["clean", "warm", "scan", "faces", "sign"]
-BY_HAND: tuple[PointName, ...] = ("clean", "warm")
-"""Points that a person ticks; the state of the others follows from the snapshot."""
-TITLES: dict[PointName, str] = {
-    "clean": "Clean the blocks, wring them",
-    "warm": "Warm up 20 min",
-    "scan": "Scan",
-    "faces": "Regions on both blocks",
-    "sign": "Sign",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class ProcedurePoint:
-    """One point of the procedure; at: time of completion, ISO 8601 or empty."""
-
-    name: PointName
-    title: str
-    done: bool
-    at: str = ""
-
-
-def points(snapshot: Snapshot) -> tuple[ProcedurePoint, ...]:
-    """Return all points of the current check, in order."""
-    gauge, data = snapshot.gauge, snapshot.dataset
-    notes = {tick.point: tick.at for tick in gauge.ticks}
-    by_hand = [ProcedurePoint(name, TITLES[name], name in notes, notes.get(name, "")) for name in BY_HAND]
-    scanned = snapshot.surface is not None or bool(gauge.repeats)
-    taken = gauge.repeats[-1].taken if gauge.repeats else data.taken if data is not None and scanned else ""
-    signed = gauge.signed is not None
-    return (
-        *by_hand,
-        ProcedurePoint("scan", _scan_title(snapshot), scanned, taken),
-        ProcedurePoint("faces", TITLES["faces"], bool(gauge.repeats) or signed),
-        ProcedurePoint("sign", TITLES["sign"], signed, gauge.signed.at if gauge.signed is not None else ""),
-    )
-
-
-def next_point(snapshot: Snapshot) -> ProcedurePoint | None:
-    """Return the first point that is not done; None if all are."""
-    return next((point for point in points(snapshot) if not point.done), None)
-
-
-def procedure(snapshot: Snapshot) -> Markup:
-    """Return the points as a list with ticks and times."""
-    now = next_point(snapshot)
-    rows = Markup("").join(_row(point, now is not None and point.name == now.name) for point in points(snapshot))
-    foot = (
-        Markup('<div class="wv-lab" style="margin-top:8px">Enter goes to the next point</div>')
-        if now is not None
-        else Markup()
-    )
-    return Markup('{}<div class="wv-points">{}</div>{}').format(html.head("Procedure", first=True), rows, foot)
-
-
-def _scan_title(snapshot: Snapshot) -> str:
-    job = snapshot.dataset.job if snapshot.dataset is not None else snapshot.draft.job
-    grid = job.grid if job is not None else None
-    return (
-        f"Scan, {grid.rows} × {grid.cols} field{'s' if grid.rows * grid.cols > 1 else ''}" if grid else TITLES["scan"]
-    )
-
-
-def _row(point: ProcedurePoint, now: bool) -> Markup:
-    sign = viser.Icon.CIRCLE_CHECK if point.done else viser.Icon.CIRCLE_DOT if now else viser.Icon.CIRCLE
-    tone = "good" if point.done else "accent" if now else "ink3"
-    state = "done" if point.done else "next" if now else "to do"
-    moment = Markup('<span class="dim" title="{}">{}</span>').format(day_and_time(point.at), _clock(point.at))
-    click = html.command_pick("gauge-tick", point.name) if point.name in BY_HAND else ""
-    look = f"{'now ' if now else ''}{'go' if click else ''}"
-    return Markup(
-        '<div class="{look}" aria-label="{title}, {state}" {click}>'
-        '<span style="color:var(--{tone})">{icon}</span><span>{title}</span>{moment}</div>'
-    ).format(look=look, title=point.title, state=state, click=click, tone=tone, icon=html.icon(sign, 18), moment=moment)
-
-
-def _clock(moment: str) -> str:
-    try:
-        return f"{datetime.fromisoformat(moment).astimezone():%H:%M}"
-    except ValueError:
-        return ""
-
-
-GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
-"""AIAG limits: %GRR of an acceptable and of a marginal gauge, and the least number of distinct categories."""
-METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average and range"}
-
-
-def study(studied: Studied) -> Markup:
-    """Return study size, verdict by the AIAG rule, and every standard deviation with its share."""
-    study = studied.found
-    by = f"{studied.name} · {METHODS[study.method]}{' · SIMULATED' if studied.simulated else ''}"
-    notes = Markup("").join(_small(text) for text in study.notes)
-    return Markup('<div class="wv-lab" title="{by}">{by}</div>{study_size}{word}{table}{rest}{notes}').format(
-        by=by,
-        study_size=_study_size(study),
-        word=_word(study),
-        table=_table(study, studied.unit),
-        rest=_rest(study),
-        notes=notes,
-    )
-
-
-def _study_size(study: GaugeRR) -> Markup:
-    counts = ((study.parts, "part"), (study.appraisers, "appraiser"), (study.trials, "trial"))
-    words = Markup(" · ").join(Markup("<b>{}</b> {}{}").format(n, word, "" if n == 1 else "s") for n, word in counts)
-    return Markup('<div style="margin:3px 0 4px">{}</div>').format(words)
-
-
-def _word(study: GaugeRR) -> Markup:
-    grr = study.share_of_variation
-    if math.isnan(grr):
-        return html.note("busy", "Nothing varies", "All values are the same: there is nothing to compare.")
-    text = f"Gauge R&R is {share(grr)} of the total variation; {study.distinct_categories} distinct categories."
-    if grr <= GOOD and study.distinct_categories >= LEAST_CATEGORIES:
-        return html.note("good", "Acceptable", text)
-    if grr <= MARGINAL:
-        return html.note("attention", "Acceptable for some uses", text)
-    return html.note("fault", "Not acceptable", text)
-
-
-def _table(study: GaugeRR, unit: Unit | None) -> Markup:
-    rows = (
-        ("Repeatability, EV", study.repeatability, ""),
-        ("Reproducibility, AV", study.reproducibility, ""),
-        ("of it parts with appraisers, INT", study.interaction_variation, ""),
-        ("Gauge R&R", study.gauge_rr, "strong"),
-        ("Part variation, PV", study.part_variation, ""),
-        ("Total variation, TV", study.total_variation, "strong"),
-    )
-    lines = [_variation_line(name, s, study.total_variation, look) for name, s, look in rows if s is not None]
-    return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
-
-
-def _variation_line(name: str, s: float, total: float, look: str) -> Markup:
-    part = s / total if total else math.nan
-    width = 0.0 if math.isnan(part) else 100 * min(part, 1.0)
-    bar = Markup('<div class="wv-rr"><i style="width:{:.1f}%"></i></div>').format(width)
-    return html.row([name, number(s, 4), share(part), bar], " nn", look=look)
-
-
-def _rest(study: GaugeRR) -> Markup:
-    of_tolerance = study.share_of_tolerance
-    pairs = [
-        ("Distinct categories", number(study.distinct_categories, 0)),
-        ("6 s of the gauge, of the tolerance", NOTHING if of_tolerance is None else share(of_tolerance)),
-    ]
-    if study.interaction_p is not None:
-        pairs.append(("p of parts with appraisers", number(study.interaction_p, 3)))
-    return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + _small(
-        "Shares are of deviations, and do not sum up to 100 %."
-    )
-
-
-def _small(text: str) -> Markup:
-    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(text))
 
 
 _PARTS: dict[Role, str] = {

@@ -19,10 +19,7 @@ from markupsafe import Markup
 from wafer_viewer.gui.acquire import AcquirePanel
 from wafer_viewer.gui.defects.die_views import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
-from wafer_viewer.gui.elements.step import StepPanel
-from wafer_viewer.gui.gauge.gauge_displays import GaugeDock, StepReadout
-from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
-from wafer_viewer.gui.gauge.instrument_panel import CalibrationDock, InstrumentPanel
+from wafer_viewer.gui.elements.step import Here, StepDock, StepPanel
 from wafer_viewer.gui.live.live_panel import LivePanel
 from wafer_viewer.gui.live.live_picture import LiveDock, LivePicture
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
@@ -51,15 +48,34 @@ from wafer_viewer.gui.shell.shortcuts import (
 )
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import Step, View, with_cursor
+from wafer_viewer.gui.steps.gauge.gauge_check import StepReadout, run_chart_dock
+from wafer_viewer.gui.steps.gauge.gauge_step import FAILED as CHECK_FAILED
+from wafer_viewer.gui.steps.gauge.gauge_step import GAUGE_PICKS, CheckInputs, gauge_commands, gauge_step
+from wafer_viewer.gui.steps.gauge.instrument import (
+    INSTRUMENT_PICKS,
+    NOT_RUN,
+    calibration_dock,
+    instrument_commands,
+    instrument_step,
+)
 from wafer_viewer.gui.steps.measure import MeasureState, measure_step, use_tool
 from wafer_viewer.gui.steps.plan import PICKS, plan_step
 from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState
 from wafer_viewer.gui.steps.report import ReportChoices, report_commands, report_step
 from wafer_viewer.gui.steps.results import choose_result
-from wafer_viewer.gui.surface.focus_evidence import WhyDock, WhyPanel
-from wafer_viewer.gui.surface.heights_section import ShownStatistics
-from wafer_viewer.gui.surface.points_section import PointCount, clip_box_callback
-from wafer_viewer.gui.surface.surface_panel import SurfacePanel
+from wafer_viewer.gui.steps.surface.comparison import comparison_commands
+from wafer_viewer.gui.steps.surface.focus_evidence import (
+    EVIDENCE_PICKS,
+    FRAME_PICKS,
+    ChosenFrame,
+    Explained,
+    evidence_dock,
+    evidence_step,
+    explain_click,
+)
+from wafer_viewer.gui.steps.surface.heights import ShownStatistics
+from wafer_viewer.gui.steps.surface.points import PointCount, clip_box_callback
+from wafer_viewer.gui.steps.surface.surface_step import FAILED, SURFACE_PICKS, SurfaceState, surface_step
 from wafer_viewer.gui.tools.region_tools import in_scene, take_places
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded, tell_failure
@@ -255,13 +271,13 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     statistics = ShownStatistics(page, scene.visible_um)
     plan = StepPanel(page, plan_step, PlanState(), NOT_CHANGED, PICKS)
     acquire = AcquirePanel(page)
-    live, instrument = LivePanel(page), InstrumentPanel(page)
-    surface = SurfacePanel(page, poses, scene.range_in_view, statistics)
+    live, instrument = LivePanel(page), StepPanel(page, instrument_step, None, NOT_RUN, INSTRUMENT_PICKS)
+    surface = StepPanel(page, surface_step, SurfaceState(poses, scene.range_in_view, statistics), FAILED, SURFACE_PICKS)
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
-    gauge, review = GaugePanel(page), ReviewPanel(page, scene)
+    gauge, review = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS), ReviewPanel(page, scene)
     report = StepPanel(page, report_step, ReportChoices(), "The report was not changed")
     comparison, stack = DefectBeside(page), DefectStack(page, review.go_to)
-    why = WhyPanel(page)
+    why = StepPanel(page, evidence_step, Explained(), "The explanation was not changed", EVIDENCE_PICKS)
     ear.left = left.panel
     read_out = ReadOutBox(page)
     parts: list[PagePart] = [
@@ -292,9 +308,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             ScaleBar(page, scene),
             read_out,
             ProfileDock(page, curves),
-            WhyDock(page, why),
-            GaugeDock(page),
-            CalibrationDock(page),
+            StepDock(page, "why", evidence_dock, ChosenFrame(), "The frame was not chosen", FRAME_PICKS),
+            StepDock(page, "gauge", run_chart_dock, None, CHECK_FAILED),
+            StepDock(page, "calibration", calibration_dock, None, NOT_RUN),
             DefectDock(page),
             LiveDock(page),
             LivePicture(page),
@@ -315,11 +331,13 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     ]
     _listen_to_page(page, scene, left)
     left.dies.on_chosen(review.go_to)
-    _listen_to_scene(page, scene, read_out, why)
+    _listen_to_scene(page, scene, read_out, why.here)
     _listen_to_lines(page, scene, curves)
-    with_verbs = live, welcome, tour, gauge, instrument, review, *left.with_commands, comparison, stack
-    of_parts = [command for part in with_verbs for command in part.commands()] + report_commands(report.here)
-    verbs = [*of_parts, *commands_of(page, Parts(plan.here, acquire, surface, measure.here, why))]
+    with_verbs = live, welcome, tour, review, *left.with_commands, comparison, stack
+    of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here)]
+    of_steps += [*gauge_commands(gauge.here), *instrument_commands(page)]
+    of_parts = [command for part in with_verbs for command in part.commands()] + of_steps
+    verbs = [*of_parts, *commands_of(page, Parts(plan.here, acquire, measure.here, why.here))]
     parts.insert(1, _palette(page, scene, verbs))
     page.on_close(scene.close)
     page.begin(parts)
@@ -371,7 +389,7 @@ def _listen_to_lines(page: Page, scene: SceneView, curves: LiveProfiles) -> None
     scene.on_cursor(guarded(page, "The cursor was not moved")(cursor_moved))
 
 
-def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
+def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Here[Explained]) -> None:
     """Connect handles, clicks and the camera; clicks are answered on a worker thread."""
     clicks = LatestOnlyWorker("read-out")
     page.on_close(clicks.close)
@@ -380,7 +398,7 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
     scene.on_levelling(guarded(page, failed)(lambda levelling: page.change(levelling=levelling, range_um=None)))
 
     def picked(x_um: float, y_um: float) -> None:
-        why.clicked(x_um, y_um)
+        explain_click(why, x_um, y_um)
         clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um))
 
     scene.on_pick(picked)

@@ -31,8 +31,6 @@ from wafer_viewer.gui.defects.defect_dialogs import other_marks
 from wafer_viewer.gui.defects.defect_section import DefectSection
 from wafer_viewer.gui.defects.die_views import DefectMap
 from wafer_viewer.gui.elements.step import StepPanel
-from wafer_viewer.gui.gauge.gauge_displays import GaugeList
-from wafer_viewer.gui.gauge.instrument_panel import CalibrationList
 from wafer_viewer.gui.live.live_places import LivePlaces
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
 from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
@@ -44,8 +42,10 @@ from wafer_viewer.gui.presenters.review import review_items, review_list
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.gauge.gauge_check import CHECK_PICKS, NOT_TICKED, check_list
+from wafer_viewer.gui.steps.gauge.instrument import NOT_READ, calibration_list
 from wafer_viewer.gui.steps.results import NOT_CHANGED, result_list
-from wafer_viewer.gui.surface.compare_section import CompareSection
+from wafer_viewer.gui.steps.surface.comparison import COMPARISON_PICKS, ComparisonForm, comparison_list
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, command_button, in_a_row, set_prop
@@ -284,9 +284,10 @@ class LeftPanel:
             self._views = HtmlBlock(page.gui)
             self.defects = DefectSection(page)
             self._review = HtmlBlock(page.gui)
-            self._gauge = GaugeList(page)
-            self._calibrations = CalibrationList(page)
-            self.compare = CompareSection(page)
+            self._gauge = StepPanel(page, check_list, None, NOT_TICKED, CHECK_PICKS)
+            self._calibrations = StepPanel(page, calibration_list, None, NOT_READ)
+            failed = "The comparison was not changed"
+            self.compare = StepPanel(page, comparison_list, ComparisonForm(), failed, COMPARISON_PICKS)
             self._build_datasets()
             self._results = StepPanel(page, result_list, Thumbnails(page), NOT_CHANGED)
         panel.dock_left()
@@ -297,9 +298,9 @@ class LeftPanel:
         page.on_pick("hold-end", lambda _: hold_dialog(page, end=True))
 
     @property
-    def with_commands(self) -> tuple[CompareSection, DefectSection, DefectMap]:
+    def with_commands(self) -> tuple[DefectSection, DefectMap]:
         """Sections that have commands of their own."""
-        return self.compare, self.defects, self.dies
+        return self.defects, self.dies
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""

@@ -50,8 +50,8 @@ from wafer_viewer.gui.steps.plan import save, start, why_not_start
 from wafer_viewer.gui.steps.plan_form import PlanState
 from wafer_viewer.gui.steps.profiles import LineCommands
 from wafer_viewer.gui.steps.results import delete_result, rename_result
-from wafer_viewer.gui.surface.focus_evidence import WhyPanel
-from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
+from wafer_viewer.gui.steps.surface.focus_evidence import Explained, toggle_explanation
+from wafer_viewer.gui.steps.surface.surface_step import COLOUR_BY, FULL_BLEND, FULL_SHADE, LOOKS
 from wafer_viewer.gui.tools.tool_palette import icon_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
@@ -81,9 +81,8 @@ class Parts:
 
     plan: Here[PlanState]
     acquire: AcquirePanel
-    surface: SurfacePanel
     measure: Here[MeasureState]
-    why: WhyPanel
+    why: Here[Explained]
 
 
 def commands_of(page: Page, parts: Parts) -> list[Command]:
@@ -178,7 +177,8 @@ def _acquiring(page: Page, parts: Parts) -> list[Command]:
 
 
 def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
-    surface = parts.surface
+    def toggle(name: str, full: Any) -> Callable[[], None]:
+        return lambda: page.change(**{name: type(full)(0) if getattr(page.view, name) else full})
 
     def exaggerate(by: float) -> None:
         page.change(exaggeration=min(max(1.0, page.view.exaggeration + by), MOST_EXAGGERATED))
@@ -194,18 +194,18 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
 
     return with_precondition(
         surface_not_drawable,
-        Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
-        Command("All-in-focus", "U", surface.toggle_all_in_focus, ICON.FOCUS_2, group="Surface"),
+        Command("Hillshade", "H", toggle("hillshade", FULL_SHADE), ICON.SUN, group="Surface"),
+        Command("All-in-focus", "U", toggle("all_in_focus", FULL_BLEND), ICON.FOCUS_2, group="Surface"),
         *with_precondition(
             no_fields_to_show,
-            Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
+            Command("Fields and overlaps", "O", toggle("fields", True), ICON.GRID_DOTS, group="Surface"),
         ),
         *with_precondition(
             surface_not_shown,
             Command(
                 "Why this height?",
                 "C",
-                parts.why.toggle,
+                partial(toggle_explanation, parts.why),
                 ICON.ZOOM_QUESTION,
                 group="Surface",
                 here=lambda _, view: view.step != "plan",
@@ -290,7 +290,7 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
         if page.view.tour is not None:
             page.change(tour=None)
         elif page.view.explains:
-            parts.why.close()
+            page.change(why=None)
         elif page.view.sheet_over != "none":
             page.change(sheet="none")
         elif page.view.lists_some:

@@ -293,6 +293,14 @@ _FOOT_PX = 74
 """Height of the foot of a panel beside its button: padding, two lines above it, and the fade."""
 _FADE = "position:absolute;inset:auto 0 100%;height:14px;background:linear-gradient(transparent,var(--panel))"
 """Rows fade out above the foot that covers them."""
+_LEAD_PX = 58
+"""Height of the leading button with its margins."""
+
+
+def at_foot_style(handle: Any) -> Markup:
+    """Return the styles that keep a button visible above the leading button while the panel scrolls."""
+    selector, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{_LEAD_PX}px;z-index:3;padding-top:6px"
+    return html.style_sheet(f"div:has(>{selector}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}")
 
 
 def duo(gui: Gui) -> None:
@@ -311,6 +319,7 @@ class ToggleGroup:
         on_change: Callable[[Any], None],
         action: Action | None = None,
         order: float | None = None,
+        hint: str | None = None,
     ) -> None:
         self._keys = [key for key, _ in options]
         self._titles = [name for _, name in options]
@@ -318,7 +327,7 @@ class ToggleGroup:
         self._mark = f"wv-choice-{id(self)}"
         self._look = f"{self._mark} {html.FOR_ENGINEERS}" if role_for(action) == "engineer" else self._mark
         self._cell = HtmlBlock(gui, self._style(0), padded=False, order=order)
-        self.handle = gui.add_button_group(label, self._titles, order=order)
+        self.handle = gui.add_button_group(label, self._titles, hint=hint, order=order)
         self.handle.on_click(self._click)
 
     def show(self, key: Any) -> None:

@@ -104,6 +104,11 @@ def head(text: str, detail: str = "", first: bool = False) -> Markup:
     return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, detail)
 
 
+def link(text: str, what: str, key: object = "") -> Markup:
+    """Return a link that picks `key` of `what`."""
+    return Markup('<span class="wv-link" {}>{}</span>').format(pick(what, key), text)
+
+
 def command_link(text: str, what: str, key: object = "", action: Action | None = None, title: str = "") -> Markup:
     """Return a link that picks `key` of `what`, and needs control; title: tooltip of a link without text."""
     named = Markup(' title="{}"').format(title) if title else Markup()

@@ -120,6 +120,15 @@ class ComparisonFace(IntEnum):
     BESIDE = 4
 
 
+FACE_TITLES: dict[ComparisonFace, tuple[str, str]] = {
+    ComparisonFace.DIFFERENCE: ("Difference", "Second − first"),
+    ComparisonFace.FIRST: ("First", "First surface"),
+    ComparisonFace.SECOND: ("Second", "Second surface"),
+    ComparisonFace.BESIDE: ("Both", "Both surfaces"),
+}
+"""Title of the choice of a face, and name of what it shows."""
+
+
 _FACES = 10
 
 

@@ -7,9 +7,9 @@ import re
 import pytest
 
 from tests.browser.sessions.compared_session import AFTER, ALIGNED, CHANGE, CLEANED, FIRST, GOLDEN, RAW, comparisons
-from wafer_viewer.gui.presenters import surface as words
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.surface import comparison as words
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import ComparisonFace, Registration, SurfaceName, comparison_of, show_of
 from wafer_viewer.session.rendering.render_request import SurfaceKey

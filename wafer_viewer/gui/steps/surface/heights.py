@@ -1,8 +1,4 @@
-"""Heights section: histogram with a brushed range, and statistics of what is on show.
-
-The panel, the histogram, the range of colours, the map and the export read the statistics from the page, so that they
-agree.
-"""
+"""Heights of what is on show: histogram with a brushed range, and the statistics that all parts of the page read."""
 
 from __future__ import annotations
 
@@ -16,6 +12,8 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.charts.colour_bar import HEIGHT_PX, histogram_html, place_of
 from wafer_viewer.draw.number_format import number, share, with_unit
+from wafer_viewer.gui.elements.elements import Button, Buttons, Html, NumberPair, Stack
+from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.scene.reconciler import NotReady, RenderQueue
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
@@ -23,15 +21,91 @@ from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import BoundInput, HtmlBlock, button, in_a_row, set_prop
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box, Span
 from wafer_viewer.session.rendering.render_request import Brushed, RenderRequest, Statistics
 from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
+FAILED = "The heights were not clipped"
+BRUSH_HINT = "Heights that light up in scene, map and profile, µm"
+_ROOM = 0.5
+"""Margin around a place to be measured, as a share of its sides."""
+_DECIMALS = 3
+
+
+def heights_section(page: Page, view: View) -> Stack | None:
+    """Return histogram and numbers of the brushed heights; in a point cloud its grips set the Z of the clip box."""
+    statistics = page.statistics
+    if statistics is None or not sum(statistics.counts):
+        return None
+    ends_um, span_um, brush_um = statistics.ends_um, statistics.span_um, view.brush_um
+    clips, clip_um = view.look == "points", view.clip.heights_um if view.look == "points" else None
+    brushed = statistics.brushed if brush_um is not None else None
+
+    def brush(ends: Span) -> None:
+        page.change(brush_um=_range_or_none(ends, span_um))
+
+    def keep() -> None:
+        page.change(look="points", clip=replace(page.view.clip, heights_um=page.view.brush_um), brush_um=None)
+
+    def measure() -> None:
+        if brushed is not None and brushed.places:
+            page.change(step="measure", tool="volume", places=(around(brushed.places[0]),), selected=None)
+
+    low, high = (round(z, _DECIMALS) for z in brush_um or span_um)
+    none, icon = brushed is None or not brushed.n_points, viser.Icon
+    verbs = [
+        Button("Keep only these", keep, icon.FILTER, disabled=none),
+        Button("Measure the place", measure, icon.RULER_MEASURE, disabled=none),
+    ]
+    elements = [
+        Html(_head(view)),
+        Html(histogram_area(ends_um, brush_um, clip_um, clips=clips)),
+        Html(histogram_html(statistics.counts, ends_um, _colours(page, view), clip_um)),
+        NumberPair("Brushed, µm", (low, high), brush, BRUSH_HINT) if brush_um is not None else None,
+        Html("" if brushed is None else html.pairs(brushed_rows(brushed))),
+        Buttons(verbs) if brushed is not None else None,
+    ]
+    return Stack(elements, failed=FAILED)
+
+
+def _drag(here: Here[Any], key: str) -> None:
+    """Brush heights by a drag over the histogram, or clip the point cloud by a grip."""
+    page, statistics = here.page, here.page.statistics
+    if statistics is None:
+        return
+    drag, span_um = parse_drag(key, statistics.ends_um, statistics.span_um), statistics.span_um
+    if drag.act == "brush":
+        page.change(brush_um=None if drag.is_click else _sorted(drag.from_um, drag.to_um))
+        return
+    low, high = page.view.clip.heights_um or span_um
+    ends = (drag.to_um, high) if drag.act == "low" else (low, drag.to_um)
+    page.change(clip=replace(page.view.clip, heights_um=_range_or_none(ends, span_um)))
+
+
+def _brush_all(here: Here[Any], _: str) -> None:
+    """Brush all heights, whose ends can then be typed."""
+    if (statistics := here.page.statistics) is not None:
+        here.page.change(brush_um=statistics.span_um)
+
+
 HISTOGRAM = "histogram"
+HEIGHT_PICKS: Picks[Any] = {
+    HISTOGRAM: _drag,
+    "brush": _brush_all,
+    "unbrush": lambda here, _: here.page.change(brush_um=None),
+}
+
+
+def _colours(page: Page, view: View) -> tuple[str, float, float] | None:
+    """Return colour map and range of the bars, as on the surface; None if it is not coloured by height."""
+    scale, by = page.scale, page.coloured_by(view)
+    if scale is None or by not in ("height", "difference") or scale.quantity != by:
+        return None
+    return OWN_COLOURS.get(by, view.colours), scale.low, scale.high
+
+
 Act = Literal["brush", "low", "high"]
 _ACTS: dict[str, Act] = {"brush": "brush", "low": "low", "high": "high"}
 _GRIP_PX = 9
@@ -90,110 +164,6 @@ def _height(share: float, ends_um: Span, span_um: Span) -> float:
     return ends_um[0] + share * (ends_um[1] - ends_um[0])
 
 
-FAILED = "The heights were not clipped"
-_ROOM = 0.5
-"""Margin around a place to be measured, as a share of its sides."""
-_DECIMALS = 3
-
-
-class HeightsSection:
-    """Histogram and numbers of the brushed heights; in a point cloud its grips set the Z of the clip box."""
-
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._shown: Statistics | None = None
-        gui = page.gui
-        self._head = HtmlBlock(gui)
-        self._area = HtmlBlock(gui)
-        self._bars = HtmlBlock(gui)
-        self._brush = self._ends("Brush, µm", self._typed_brush)
-        self._numbers = HtmlBlock(gui)
-        self._keep = button(gui, "Keep only these", viser.Icon.FILTER, guarded(page, FAILED)(lambda _: self._keep_it()))
-        self._measure = button(
-            gui, "Measure the place", viser.Icon.RULER_MEASURE, guarded(page, FAILED)(lambda _: self._measure_it())
-        )
-        in_a_row(gui, [self._keep, self._measure])
-        page.on_pick(HISTOGRAM, self._dragged)
-        page.on_pick("unbrush", lambda _: page.change(brush_um=None))
-
-    def show(self, view: View) -> None:
-        """Bring the section up to date with the page's statistics."""
-        statistics = self._page.statistics
-        counted = statistics is not None and sum(statistics.counts) > 0
-        self._shown = statistics if counted else None
-        clips = view.look == "points"
-        set_prop(self._brush.handle, "visible", counted)
-        if statistics is None or not counted:
-            self._head.show("")
-            self._area.show("")
-            self._bars.show("")
-            self._show_brushed(None)
-            return
-        self._head.show(_head(view))
-        self._area.show(
-            histogram_area(statistics.ends_um, view.brush_um, view.clip.heights_um if clips else None, clips=clips)
-        )
-        within = view.clip.heights_um if clips else None
-        self._bars.show(histogram_html(statistics.counts, statistics.ends_um, self._colours(view), within))
-        self._show_ends(self._brush, view.brush_um, statistics.span_um)
-        self._show_brushed(statistics.brushed if view.brush_um is not None else None)
-
-    # ---------------------------------------------------------------- bring up to date
-
-    def _colours(self, view: View) -> tuple[str, float, float] | None:
-        """Return colour map and range of the bars, as on the surface; None if it is not coloured by height."""
-        scale, by = self._page.scale, self._page.coloured_by(view)
-        if scale is None or by not in ("height", "difference") or scale.quantity != by:
-            return None
-        return OWN_COLOURS.get(by, view.colours), scale.low, scale.high
-
-    def _show_ends(self, field: BoundInput[Any], span_um: Span | None, full_um: Span) -> None:
-        low, high = span_um or full_um
-        field.show((round(low, _DECIMALS), round(high, _DECIMALS)))
-
-    def _show_brushed(self, brushed: Brushed | None) -> None:
-        for handle in (self._keep, self._measure):
-            set_prop(handle, "visible", brushed is not None)
-            set_prop(handle, "disabled", brushed is None or brushed.n_points == 0)
-        self._numbers.show("" if brushed is None else html.pairs(brushed_rows(brushed)))
-
-    # ---------------------------------------------------------------- what the operator does
-
-    def _ends(self, label: str, act: Any) -> BoundInput[Any]:
-        handle = self._page.gui.add_vector2(label, (0.0, 0.0), step=0.1, visible=False)
-        return BoundInput(handle, lambda event: act(event.target.value), self._page, FAILED)
-
-    def _dragged(self, key: str) -> None:
-        if self._shown is None:
-            return
-        drag = parse_drag(key, self._shown.ends_um, self._shown.span_um)
-        if drag.act == "brush":
-            self._page.change(brush_um=None if drag.is_click else _sorted(drag.from_um, drag.to_um))
-            return
-        low, high = self._page.view.clip.heights_um or self._shown.span_um
-        self._clip_at((drag.to_um, high) if drag.act == "low" else (low, drag.to_um))
-
-    def _typed_brush(self, ends: Span) -> None:
-        if self._shown is not None:
-            self._page.change(brush_um=_range_or_none(ends, self._shown.span_um))
-
-    def _clip_at(self, ends: Span) -> None:
-        if self._shown is not None:
-            span = _range_or_none(ends, self._shown.span_um)
-            self._page.change(clip=replace(self._page.view.clip, heights_um=span))
-
-    def _keep_it(self) -> None:
-        """Clip to the brushed heights and show the points."""
-        view = self._page.view
-        if view.brush_um is not None:
-            self._page.change(look="points", clip=replace(view.clip, heights_um=view.brush_um), brush_um=None)
-
-    def _measure_it(self) -> None:
-        brushed = self._shown.brushed if self._shown is not None else None
-        if brushed is not None and brushed.places:
-            self._page.change(step="measure", tool="volume", places=(around(brushed.places[0]),), selected=None)
-
-
 def brushed_rows(brushed: Brushed) -> list[tuple[str, str]]:
     """Return the numbers of the brushed heights as rows."""
     rows = [("Points", f"{number(brushed.n_points, 0)} · {share(brushed.fraction)}")]
@@ -217,7 +187,7 @@ def around(box: Box) -> Region:
 
 def _head(view: View) -> Markup:
     if view.brush_um is None:
-        return html.head("Heights", "Drag to brush")
+        return html.head("Heights", Markup("Drag to brush, or {}").format(html.link("type", "brush")))
     low, high = view.brush_um
     words = f"{number(low, 2, signed=True)} … {with_unit(high, 2, signed=True)}"
     clear = Markup('<span class="wv-link" title="Key Escape" {}>Clear</span>').format(html.pick("unbrush"))

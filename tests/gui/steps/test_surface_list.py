@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.gui.surface.surface_panel import MOST_LISTED, _listed
+from wafer_viewer.gui.steps.surface.surface_step import MOST_LISTED, _listed
 
 
 def test_the_list_holds_all_fields_with_heights():

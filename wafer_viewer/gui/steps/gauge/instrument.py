@@ -1,17 +1,26 @@
-"""HTML of the calibrations of the instrument: list of the kinds, values, result, history. Pure functions."""
+"""Calibrations of the instrument: list of the kinds, the chosen one with its result and values, and its history."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import date
+from functools import partial
+from typing import Any
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, HistoryPoint, history_chart_html
 from wafer_viewer.draw.number_format import NOTHING, number, share, value_and_u
+from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html
+from wafer_viewer.gui.elements.step import Here, Picks
+from wafer_viewer.gui.page.dialogs import Dialog, sign_dialog
+from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.gauge import day
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Command, HtmlBlock
+from wafer_viewer.gui.widgets.number_field import OptionalNumber, option_label
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.characteristics import (
     KINDS,
@@ -20,12 +29,201 @@ from wafer_viewer.model.acquisition.characteristics import (
     CalibrationRecord,
     Characteristic,
 )
+from wafer_viewer.session.calibration.calibration_controller import FOCUS_RANGE_UM
 from wafer_viewer.session.state.instrument_state import CalibrationHistory, CalibrationState, PendingCalibration
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
+ICON = viser.Icon
+NOT_RUN, NOT_KEPT, NOT_DISCARDED = "Calibration failed", "Nothing was kept", "The result was not discarded"
+NOT_READ = "The calibrations were not read"
 MOST_ROWS = 12
 """Number of newest calibrations of a kind in the table of the history."""
 SIMULATED = Markup('<em class="wv-sim alone">SIMULATED</em>')
+
+
+def calibration_list(here: Here[None]) -> Elements | None:
+    """Return the kinds of calibration; a click chooses one."""
+    view = here.view
+    if not view.at_instrument:
+        return None
+    listed = kinds_list(here.snapshot.calibration, view.calibration) + not_measured()
+    return [Html(listed)]
+
+
+def calibration_dock(here: Here[None]) -> Elements:
+    """Return the history of the chosen kind."""
+    chart = history_chart(here.snapshot.calibration.history(here.view.calibration))
+    return [Html(Markup('<div class="wv-below">{}</div>').format(chart))]
+
+
+def instrument_step(here: Here[None]) -> Elements | None:
+    """Return one kind of calibration: what runs, the result that waits, signed values, and what comes next."""
+    page, snapshot, view = here.page, here.snapshot, here.view
+    if not view.at_instrument or view.explains:
+        return None
+    state, kind = snapshot.calibration, view.calibration
+    history, pending = state.history(kind), state.pending
+    damaged = html.note("fault", NOT_READ, state.problem) if state.problem else Markup()
+    own = pending is not None and pending.result.kind == kind
+    why = why_not_keep(snapshot) if own else why_not_run(snapshot, kind)
+    look = "" if own else " wv-at-foot"  # the button that discards is there
+    values = in_force(history) + history_table(history) + next_scans(snapshot.rig.calibration)
+    away = Button("Discard…", partial(discard, page), ICON.TRASH, commands=True, failed=NOT_DISCARDED)
+    return [
+        Html(kind_title(kind) + next_due(state, kind)),
+        Html(page.notes(snapshot) + damaged),
+        Html(running(snapshot) + waiting(pending, state, kind)),
+        Html(values),
+        Html(html.why_not(why, look)),
+        Buttons([away], 34, at_foot=True) if own else None,
+        _lead(page, kind, own=own, possible=why is None),
+    ]
+
+
+INSTRUMENT_PICKS: Picks[None] = {
+    "gauge-look": lambda here, look: look_at(here.page, instrument=look == "instrument"),
+    "calibration-kind": lambda here, kind: here.page.change(calibration=kind),
+    "calibration-live": lambda here, _: here.page.change(step="plan", live=True),
+}
+
+
+def _lead(page: Page, kind: CalibrationKind, *, own: bool, possible: bool) -> Button:
+    """Return the leading button: keep a result of this kind, evaluate the gauge checks, or run on the rig."""
+    if own:
+        label, icon, act, failed = "Keep…", ICON.SIGNATURE, keep, NOT_KEPT
+    elif KINDS[kind].source == "gauge checks":
+        label, icon, act, failed = "Evaluate the checks", ICON.MATH_FUNCTION, run, NOT_RUN
+    else:
+        label, icon, act, failed = "Run here…", ICON.PLAYER_PLAY, run, NOT_RUN
+    action = "Calibration accepted" if own else None
+    return Button(
+        label,
+        partial(act, page),
+        icon,
+        "leading",
+        disabled=not possible,
+        commands=True,
+        action=action,
+        failed=failed,
+        key=label,
+    )
+
+
+def instrument_commands(page: Page) -> list[Command]:
+    """Return the commands of the instrument."""
+
+    def command(name: str, act: Callable[[], None], icon: Any, why_not: Any = no_result) -> Command:
+        return Command(name, None, act, icon, group="Gauge check", here=_at_instrument, why_not=why_not)
+
+    def possible(snapshot: Snapshot, view: View) -> str | None:
+        return why_not_run(snapshot, view.calibration)
+
+    def in_gauge(_: Snapshot, view: View) -> bool:
+        return view.step == "gauge"
+
+    def other() -> None:
+        look_at(page, instrument=not page.view.instrument)
+
+    name, icon = "Gauge blocks or instrument", ICON.MICROSCOPE
+    return [
+        Command(name, None, other, icon, group="Gauge check", here=in_gauge),
+        command("Run the calibration…", partial(run, page), ICON.PLAYER_PLAY, possible),
+        command("Keep the calibration…", partial(keep, page), ICON.SIGNATURE),
+        command("Discard the calibration…", partial(discard, page), ICON.TRASH),
+    ]
+
+
+def no_result(snapshot: Snapshot, _: View) -> str | None:
+    """Require a result that waits."""
+    return None if snapshot.calibration.pending is not None else "no result waits."
+
+
+def _at_instrument(_: Snapshot, view: View) -> bool:
+    return view.at_instrument
+
+
+def look_at(page: Page, *, instrument: bool) -> None:
+    """Show the instrument or the gauge blocks."""
+    page.change(instrument=instrument, why=None)
+    if instrument:  # the command line may have added a record
+        page.ask(NOT_READ, page.session.calibration.refresh())
+
+
+def run(page: Page) -> None:
+    """Evaluate the gauge checks, or ask for the options of a calibration on the rig."""
+    kind = page.view.calibration
+    if KINDS[kind].source == "gauge checks":
+        page.ask(NOT_RUN, page.session.calibration.run(kind))
+    else:
+        run_dialog(page, kind)
+
+
+def keep(page: Page) -> None:
+    """Open the dialog that signs the result; it repeats the values and asks for a name and a reason."""
+    if (pending := page.session.snapshot.calibration.pending) is None:
+        return
+    below = "It is recorded for good, and the next scans use it. Datasets stay as they are."
+    simulated = SIMULATED if pending.simulated else Markup()
+    value = in_words(pending.result.characteristics[0])
+    sign_dialog(
+        Dialog(page, f"Keep: {KINDS[pending.result.kind].title}?", below),
+        Markup('<div style="padding:2px 0 8px"><b>{}</b> {}</div>').format(value, simulated),
+        ("Keep and sign", ICON.SIGNATURE),
+        page.session.calibration.keep,
+        NOT_KEPT,
+    )
+
+
+def discard(page: Page) -> None:
+    """Open the dialog that discards the result."""
+    if (pending := page.session.snapshot.calibration.pending) is None:
+        return
+    below = "Nothing is recorded, and the values in force stay. This cannot be undone."
+    dialog = Dialog(page, f"Discard: {KINDS[pending.result.kind].title}?", below)
+
+    def away() -> None:
+        page.ask(NOT_DISCARDED, page.session.calibration.discard())
+
+    dialog.answers("Discard the result", ICON.TRASH, away, NOT_DISCARDED)
+
+
+def run_dialog(page: Page, kind: CalibrationKind) -> None:
+    """Open the dialog that runs a calibration at the present position of the stage, with its options."""
+    one = KINDS[kind]
+    below = f"{one.about} The stage moves: check that nothing is in the way."
+    dialog = Dialog(page, f"Run here: {one.title}", below)
+    gui, limits = page.gui, page.session.snapshot.rig.limits
+    with dialog.modal:
+        HtmlBlock(gui, place(page.session.snapshot.rig, one.needs))
+        options = {
+            option.name: OptionalNumber(
+                gui,
+                option_label(option),
+                option.default,
+                hint=option.about,
+                least=1 if isinstance(option.default, int) else 0,
+                integer=isinstance(option.default, int),
+            )
+            for option in one.options
+        }
+        focus_range = OptionalNumber(
+            gui, "z range, µm", FOCUS_RANGE_UM, over=0, hint="Range about this z in which the focus is searched, µm"
+        )
+        camera = limits.camera if limits is not None else None
+        exposure = OptionalNumber(
+            gui,
+            "Exposure, µs",
+            hint="Of all frames; an empty field has it found",
+            least=camera.exposure_min_us if camera is not None else None,
+            most=camera.exposure_max_us if camera is not None else None,
+        )
+
+    def begin() -> None:
+        given = {name: field.value for name, field in options.items()}
+        found = page.session.calibration.run(kind, focus_range.value or FOCUS_RANGE_UM, exposure.value, **given)
+        page.ask(NOT_RUN, found)
+
+    dialog.answers("Run here", ICON.PLAYER_PLAY, begin, NOT_RUN)
 
 
 def kind_title(kind: CalibrationKind) -> Markup:
@@ -42,9 +240,7 @@ def next_due(state: CalibrationState, chosen: CalibrationKind) -> Markup:
     due: list[CalibrationKind] = [kind for kind in order[after:] + order[: after - 1] if state.history(kind).is_due]
     if not due:
         return Markup()
-    link = Markup('<span class="wv-link" {}>{}</span>').format(
-        html.pick("calibration-kind", due[0]), KINDS[due[0]].title
-    )
+    link = html.link(KINDS[due[0]].title, "calibration-kind", due[0])
     return Markup('<div class="wv-lab" style="margin-top:6px">Next that is due: {}</div>').format(link)
 
 
@@ -100,7 +296,7 @@ def waiting(pending: PendingCalibration | None, state: CalibrationState, kind: C
     own = pending.result.kind
     if own == kind:
         return result(pending, state.history(own))
-    link = Markup('<span class="wv-link" {}>Show it</span>').format(html.pick("calibration-kind", own))
+    link = html.link("Show it", "calibration-kind", own)
     return html.note("attention", "A result waits", f"{KINDS[own].title}: keep or discard it.", link)
 
 

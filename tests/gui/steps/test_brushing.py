@@ -7,8 +7,8 @@ import pytest
 
 from wafer_viewer.gui.scene.camera_presets import CameraPose, pixel_ray
 from wafer_viewer.gui.state.view_state import View, changed, read, write
-from wafer_viewer.gui.surface.heights_section import around, brushed_rows, histogram_area, parse_drag
-from wafer_viewer.gui.surface.points_section import amount, counted
+from wafer_viewer.gui.steps.surface.heights import around, brushed_rows, histogram_area, parse_drag
+from wafer_viewer.gui.steps.surface.points import amount, counted
 from wafer_viewer.gui.tools.profile_lines import nearest_share
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip

@@ -10,7 +10,8 @@ import pytest
 
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui.presenters import surface as words
+from wafer_viewer.gui.page.header import by_stage
+from wafer_viewer.gui.steps.surface import reconstruction as words
 from wafer_viewer.model.surface.field_poses import RejectionReason
 
 FIELDS = grid(3, 3).fields(0.0)
@@ -93,12 +94,12 @@ def test_what_a_person_should_look_at_is_said_in_sentences():
 def test_fields_that_hang_on_the_stage_alone_are_counted_in_the_status_line():
     note = "Stitched by the stage's positions alone: 24 of 24 overlaps ambiguous (repeating pattern)."
     alone = dataclasses.replace(FOUND, n_believed=0, n_groups=16, n_by_stage=16, notes=(note,))
-    assert words.by_stage(alone, 16) == ("Stitched by the stage alone", note)
+    assert by_stage(alone, 16) == ("Stitched by the stage alone", note)
     said = text(words.cautions(alone))
     assert "24 of 24 overlaps ambiguous (repeating pattern)" in said
     assert "islands" not in said
-    assert words.by_stage(dataclasses.replace(FOUND, n_by_stage=3), 16)[0] == "3 of 16 fields by the stage alone"
-    assert words.by_stage(FOUND, 16) == ("", "")
+    assert by_stage(dataclasses.replace(FOUND, n_by_stage=3), 16)[0] == "3 of 16 fields by the stage alone"
+    assert by_stage(FOUND, 16) == ("", "")
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,12 @@ from tests.browser.sessions.gauge_session import TERMS, a_study, checked, worked
 from tests.browser.sessions.measuring_session import MeasuringSession
 from wafer_viewer.draw.charts.die_map import site_map_svg
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
-from wafer_viewer.gui.gauge.gauge_displays import below, earlier
 from wafer_viewer.gui.presenters import gauge as unsure
 from wafer_viewer.gui.presenters import gauge as words
-from wafer_viewer.gui.presenters.gauge import next_point, points, procedure, study
 from wafer_viewer.gui.presenters.measurement import sites
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.gauge.gauge_check import below, earlier, next_point, points, procedure
+from wafer_viewer.gui.steps.gauge.gauge_study import study
 from wafer_viewer.gui.tools.region_tools import default_faces, in_scene
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import RunChart

@@ -8,7 +8,7 @@ import pytest
 
 from tests.browser.sessions import calibrated_states as made_up
 from tests.browser.sessions.fake_session import RIG
-from wafer_viewer.gui.presenters import calibration as words
+from wafer_viewer.gui.steps.gauge import instrument as words
 from wafer_viewer.gui.widgets.number_field import EMPTY, option_label
 from wafer_viewer.model.acquisition.characteristics import KINDS, NOT_MEASURED, CalibrationOption, KindOfCalibration
 from wafer_viewer.rigs.virtual.rig import CALIBRATION

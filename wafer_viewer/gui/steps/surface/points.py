@@ -1,4 +1,4 @@
-"""Points section: size, depth shade, confidence, rejected points, clip box, and the number of drawn points."""
+"""Point cloud in the step Surface: its points, refused ones, and the clip box; the number of points over the scene."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
 from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.elements.elements import Button, Buttons, Html, NumberPair, Slider, Stack, Toggle
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.overlays.hud import WIDTH_PX as LEGEND_PX
 from wafer_viewer.gui.page.page import Page
@@ -20,16 +21,7 @@ from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import ClipBoxFaces
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import (
-    BoundInput,
-    FloatingPanel,
-    HtmlBlock,
-    ToggleGroup,
-    button,
-    in_a_row,
-    set_prop,
-)
+from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.clipping import Box, LeftOut, Span
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
@@ -47,48 +39,30 @@ WORDS: dict[LeftOut, str] = {
     "confidence": "under {confidence}",
     "slab": "before the slab",
 }
+SIZE_HINT = "Of a point on the screen, at the place looked at"
+SHADE_HINT = "Shade in hollows, so that points of one colour show their relief; 0 draws none"
+LEAST_HINT = "Confidence that a point needs to be drawn; 0 draws all"
+REFUSED_HINT = "Points that gates refused, at the height of their refused peak, coloured by reason"
 
 
-class PointsSection:
-    """Section shown while the surface is drawn as points."""
+def points_section(page: Page, view: View) -> Stack:
+    """Return the settings of the point cloud, and the number of points that are drawn."""
+    statistics, clip = page.statistics, view.clip
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        gui = page.gui
-        self._folder = gui.add_folder(None, visible=False)
-        with self._folder:
-            self._count = HtmlBlock(gui)
-            size = gui.add_slider("Size, px", 1.0, 8.0, 0.5, 3.0)
-            self._size = self._field(size, lambda px: page.change(point_px=float(px)))
-            shade = gui.add_slider("Shade, %", 0.0, 100.0, 5.0, 60.0)
-            self._shade = self._field(shade, lambda percent: page.change(depth_shade=percent / 100))
-            least = gui.add_slider("At least", 0.0, 1.0, 0.05, 0.0)
-            self._least = self._field(least, self._set_least)
-            self._refused = ToggleGroup(gui, "Refused points", REFUSED, lambda key: page.change(refused=key))
-            self._legend = HtmlBlock(gui)
+    def confidence(least: float) -> None:
+        page.change(clip=replace(page.view.clip, least_confidence=round(least, 3)))
 
-    def show(self, view: View) -> None:
-        """Bring the section up to date."""
-        visible = view.look == "points"
-        set_prop(self._folder, "visible", visible)
-        if not visible:
-            return
-        statistics = self._page.statistics
-        self._count.show(
-            html.head("Points") + (_shares(statistics, self._page.drawn_points) if statistics is not None else "")
-        )
-        self._size.show(view.point_px)
-        self._shade.show(round(100 * view.depth_shade, 3))
-        self._least.show(view.clip.least_confidence)
-        self._refused.show(view.refused)
-        self._legend.show(_refused_words(statistics, view))
-
-    def _set_least(self, least: float) -> None:
-        clip = self._page.view.clip
-        self._page.change(clip=replace(clip, least_confidence=round(float(least), 3)))
-
-    def _field(self, handle: Any, act: Any) -> BoundInput[Any]:
-        return BoundInput(handle, lambda event: act(event.target.value), self._page, FAILED)
+    shares = _shares(statistics, page.drawn_points) if statistics is not None else Markup()
+    percent = round(100 * view.depth_shade, 3)
+    elements = [
+        Html(html.head("Points") + shares),
+        Slider("Size, px", view.point_px, lambda px: page.change(point_px=px), SIZE_HINT, least=1, most=8, step=0.5),
+        Slider("Shade, %", percent, lambda p: page.change(depth_shade=p / 100), SHADE_HINT, most=100, step=5),
+        Slider("Minimum confidence", clip.least_confidence, confidence, LEAST_HINT),
+        Toggle("Refused points", view.refused, lambda on: page.change(refused=on), REFUSED_HINT, options=REFUSED),
+        Html(_refused_words(statistics, view)),
+    ]
+    return Stack(elements, failed=FAILED)
 
 
 def counted(statistics: Statistics, drawn: int, view: View) -> Markup:
@@ -135,21 +109,17 @@ def _refused_words(statistics: Statistics | None, view: View) -> Markup:
     if not view.refused:
         return Markup()
     if view.show < 0:
-        return _remark(NO_FIELDS)
+        return html.remark(NO_FIELDS)
     refused = statistics.refused if statistics is not None else None
     if refused is None:
-        return _remark("Counting …")
+        return html.remark("Counting …")
     if refused.n_fields == 0:
-        return _remark(NO_FIELDS)
+        return html.remark(NO_FIELDS)
     if refused.n_fields_without == refused.n_fields:
-        return _remark(NOT_STORED)
+        return html.remark(NOT_STORED)
     some = f"Not kept for {refused.n_fields_without} of {refused.n_fields} fields: reconstruct those again."
     none = "No point was refused here." if not refused.n_heights else "The clip leaves none of the refused points."
-    return (refused_legend(refused) or _remark(none)) + (_remark(some) if refused.n_fields_without else "")
-
-
-def _remark(text: str) -> Markup:
-    return Markup('<div class="wv-lab">{}</div>').format(text)
+    return (refused_legend(refused) or html.remark(none)) + (html.remark(some) if refused.n_fields_without else "")
 
 
 def _totals(statistics: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
@@ -179,88 +149,70 @@ CLIP_FAILED = "The clip box was not changed"
 DECIMALS = 2
 Ends = tuple[float, float]
 AXES = ("X", "Y", "Z")
+BOX_HINTS = (
+    "Clip box along X, from and to, stage µm",
+    "Clip box along Y, from and to, stage µm",
+    "Heights of the clip box, from and to, µm over the zero chosen",
+)
+"""Hints of the axes of the clip box."""
 
 
-class ClipSection:
-    """Section shown for point clouds; the handles on the faces of the box in the scene are equivalent."""
+def clip_section(page: Page, view: View, view_um: Callable[[], Box | None]) -> Stack:
+    """Return the clip box in numbers; the handles on its faces in the scene are equivalent."""
 
-    def __init__(self, page: Page, view_um: Callable[[], Box | None]) -> None:
-        self._page = page
-        gui = page.gui
-        self._folder = gui.add_folder(None, visible=False)
-        with self._folder:
-            HtmlBlock(gui, html.head("Clip box", "Drag its balls, or type"))
-            self._ends = [self._field(axis) for axis in range(3)]
-            place = [
-                self._button("To view", viser.Icon.EYE, view_um),
-                self._button("To selection", viser.Icon.MARQUEE_2, lambda: page.view.selection),
-            ]
-            in_a_row(gui, place, 30)
-            ends = [
-                self._button("Whole surface", viser.Icon.BOX, self._full_box),
-                button(gui, "Reset", viser.Icon.X, lambda _: self._reset()),
-            ]
-            in_a_row(gui, ends, 30)
-            self._to_selection, self._reset_button = place[1], ends[1]
-
-    def show(self, view: View) -> None:
-        """Bring the section up to date."""
-        visible = view.look == "points"
-        set_prop(self._folder, "visible", visible)
-        if not visible:
-            return
-        extent = self._extent(view)
-        for axis, field in enumerate(self._ends):
-            field.enable(extent is not None)
-            if extent is not None:
-                low, high = extent[axis]
-                field.show((round(low, DECIMALS), round(high, DECIMALS)))
-        set_prop(self._to_selection, "disabled", view.selection is None)
-        set_prop(self._reset_button, "disabled", view.clip.box_um is None and view.clip.heights_um is None)
-
-    def _button(self, label: str, icon: Any, box: Callable[[], Box | None]) -> Any:
-        return button(self._page.gui, label, icon, guarded(self._page, CLIP_FAILED)(lambda _: self._put(box())))
-
-    def _extent(self, view: View) -> tuple[Ends, Ends, Ends] | None:
-        """Return the extent of the box along each axis; the whole surface where nothing is clipped."""
-        on_show = self._page.on_show
-        if on_show is None:
-            return None
-        x0, y0, x1, y1 = view.clip.box_um or on_show.box_um
-        return (x0, x1), (y0, y1), view.clip.heights_um or all_heights_um(self._page, on_show)
-
-    def _full_box(self) -> Box:
-        on_show = self._page.on_show
-        if on_show is None:
+    def whole() -> Box:
+        if page.on_show is None:
             raise MeasureError("The surface is not drawn yet: place the box when it is.")
-        return on_show.box_um
+        return page.on_show.box_um
 
-    def _field(self, axis: int) -> BoundInput[Any]:
-        handle = self._page.gui.add_vector2(f"{AXES[axis]}, µm", (0.0, 0.0), step=0.1)
-        return BoundInput(handle, lambda event: self._type(axis, event.target.value), self._page, CLIP_FAILED)
+    def clip(**changes: Box | Span | None) -> None:
+        page.change(clip=replace(page.view.clip, **changes))  # pyright: ignore[reportArgumentType]
 
-    def _type(self, axis: int, ends: Ends) -> None:
-        low, high = float(ends[0]), float(ends[1])
+    def put(box_um: Callable[[], Box | None]) -> None:
+        """Clip to a rectangle in stage um; without one to all of the surface, so that its faces can be dragged."""
+        clip(box_um=box_um() or whole())
+
+    def typed(axis: int, ends: Ends) -> None:
+        low, high = ends
         if not low < high:
             raise MeasureError(f"{AXES[axis]} ends at {high:g} um, before it begins at {low:g} um: swap them.")
-        extent = self._extent(self._page.view)
-        if extent is None:
-            return
         if axis == 2:
-            self._clip(heights_um=(low, high))
-            return
-        (x0, x1), (y0, y1) = extent[:2]
-        self._clip(box_um=(low, y0, high, y1) if axis == 0 else (x0, low, x1, high))
+            clip(heights_um=(low, high))
+        elif (extent := _extent(page, page.view)) is not None:
+            (x0, x1), (y0, y1) = extent[:2]
+            clip(box_um=(low, y0, high, y1) if axis == 0 else (x0, low, x1, high))
 
-    def _put(self, box_um: Box | None) -> None:
-        """Clip to a rectangle in stage um; None clips to all of the surface, so that its faces can be dragged."""
-        self._clip(box_um=box_um or self._full_box())
+    extent, icon = _extent(page, view), viser.Icon
+    free = view.clip.box_um is None and view.clip.heights_um is None
+    numbers = (_rounded(extent[k]) if extent is not None else (0.0, 0.0) for k in range(3))
+    in_view = Button("To view", lambda: put(view_um), icon.EYE)
+    selected = Button(
+        "To selection", lambda: put(lambda: page.view.selection), icon.MARQUEE_2, disabled=view.selection is None
+    )
+    reset = Button("Reset", lambda: clip(box_um=None, heights_um=None), icon.X, disabled=free)
+    elements = [
+        Html(html.head("Clip box", "Drag its balls, or type")),
+        *(
+            NumberPair(f"{name}, µm", ends, partial(typed, axis), BOX_HINTS[axis], disabled=extent is None)
+            for axis, (name, ends) in enumerate(zip(AXES, numbers, strict=True))
+        ),
+        Buttons([in_view, selected], 30),
+        Buttons([Button("Whole surface", lambda: put(whole), icon.BOX), reset], 30),
+    ]
+    return Stack(elements, failed=CLIP_FAILED)
 
-    def _reset(self) -> None:
-        self._clip(box_um=None, heights_um=None)
 
-    def _clip(self, **changes: Box | Span | None) -> None:
-        self._page.change(clip=replace(self._page.view.clip, **changes))  # pyright: ignore[reportArgumentType]
+def _extent(page: Page, view: View) -> tuple[Ends, Ends, Ends] | None:
+    """Return the extent of the box along each axis; the whole surface where nothing is clipped."""
+    on_show = page.on_show
+    if on_show is None:
+        return None
+    x0, y0, x1, y1 = view.clip.box_um or on_show.box_um
+    return (x0, x1), (y0, y1), view.clip.heights_um or all_heights_um(page, on_show)
+
+
+def _rounded(ends: Ends) -> Ends:
+    return round(ends[0], DECIMALS), round(ends[1], DECIMALS)
 
 
 def clip_box_callback(page: Page) -> Callable[[ClipBoxFaces, str], ClipBoxFaces]:

@@ -7,7 +7,7 @@ import typing
 import pytest
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.gui.presenters import surface as words
+from wafer_viewer.gui.steps.surface import reconstruction as words
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Fill, Levy, Outliers, Recipe, Window
 

@@ -1,0 +1,1 @@
+"""The step Gauge check: checks against blocks, studies, and calibrations of the instrument."""
