@@ -264,10 +264,10 @@ def value_at(spec: Spec, path: str) -> Any:
 
 
 def _marks(hint: Any) -> tuple[Any, ...]:
-    """Return the metadata of an annotation, that of the members of a union last."""
+    """Return the metadata of an annotation, that of the members of a union or a pair last."""
     own = getattr(hint, "__metadata__", ())
     plain = hint.__origin__ if typing.get_origin(hint) is Annotated else hint
-    members = typing.get_args(plain) if _is_union(plain) else ()
+    members = typing.get_args(plain) if _is_union(plain) or typing.get_origin(plain) is tuple else ()
     return (*own, *(mark for member in members for mark in getattr(member, "__metadata__", ())))
 
 

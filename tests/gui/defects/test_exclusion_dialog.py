@@ -24,10 +24,10 @@ def test_the_form_keeps_them_there_and_back():
 
 def test_how_many_there_are_is_said_in_the_form_folded_or_not():
     assert areas(DefectForm()) == "the whole die is searched"
-    assert "left out" not in advanced_settings_header(DefectForm(), False)
+    assert "excluded" not in advanced_settings_header(DefectForm(), False)
     two = DefectForm(excluded=(SQUARE, ROUND))
-    assert "2 areas of every die left out" in advanced_settings_header(two, False)
-    assert "1 area of every die left out" in exclusion_line_html(DefectForm(excluded=(SQUARE,)))
+    assert "2 areas of every die excluded" in advanced_settings_header(two, False)
+    assert "1 area of every die excluded" in exclusion_line_html(DefectForm(excluded=(SQUARE,)))
 
 
 def test_each_is_listed_with_its_extent_and_a_way_to_search_there_again():

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import Future
 from html import unescape
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from tests.browser.sessions.fake_defect_files import a_shelf
-from tests.browser.sessions.inspected_session import GRID, PLANTED, found
+from tests.browser.sessions.inspected_session import GRID, PLANTED, found, inspected_session
+from tests.gui.steps.test_steps import flat
 from wafer_viewer.gui.defects.inspection_form import (
+    InspectionState,
     advanced_settings_header,
     expectation,
     golden_table,
+    inspection_form,
     recipe_origin_text,
     unreadable,
 )
+from wafer_viewer.gui.elements.elements import Button, Html, Input
+from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.presenters.inspection_form import (
     FORM,
     FOUND,
@@ -30,6 +38,7 @@ from wafer_viewer.gui.presenters.inspection_form import (
     text_of,
     verdict,
 )
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.defect_classes import ClassRules
@@ -164,3 +173,79 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     scanned = tuple(replace(die, state="whole") for die in INSPECTION.dies)
     loose = DefectLimits(max_per_die=9)
     assert "Within the limits" in verdict(replace(INSPECTION, dies=scanned, recipe=DefectRecipe(limits=loose)))
+
+
+def here_of(**state: Any) -> Here[InspectionState]:
+    session = inspected_session()
+    snapshot = dataclasses.replace(
+        session.snapshot, inspection=dataclasses.replace(session.snapshot.inspection, **state)
+    )
+    asked: list[Any] = []
+    defects = SimpleNamespace(
+        inspect=lambda *what: asked.append(("inspect", *what)) or Future(),
+        limit=lambda limits: asked.append(("limit", limits)) or Future(),
+    )
+    page: Any = SimpleNamespace(session=SimpleNamespace(snapshot=snapshot, defects=defects), view=View(step="review"))
+    page.answers, page.asked, page.redraw, page.ask = None, asked, lambda: None, lambda *_: None
+    return Here(page, InspectionState(unfolded=True, shows_more=True))
+
+
+def inputs(here: Here[InspectionState]) -> dict[str, Any]:
+    return {one.label: one for one in flat(inspection_form(here)) if isinstance(one, Input | Button)}
+
+
+def test_form_stands_there_until_the_surface_is_inspected_and_when_it_is_unfolded():
+    assert "Inspect" in inputs(here_of())
+    here = here_of()
+    here.keep(unfolded=False)
+    assert inspection_form(here) is None
+    assert inspection_form(here_of(work="1")) is None
+    first = here_of(inspection=None)
+    first.keep(unfolded=False, shows_more=False)
+    assert list(inputs(first)) == [
+        *("Sensitivity", "Compare", "Inspect", "Kept as", "Product", "Save recipe…", "Recipes…")
+    ]
+
+
+def test_form_is_filled_in_once_and_again_for_another_recipe():
+    here = here_of()
+    inputs(here)["Sensitivity"].put(0.9)
+    assert inputs(here)["Sensitivity"].value == 0.9
+    snapshot = here.snapshot
+    recipe = replace(snapshot.inspection.inspection.recipe, sensitivity=0.2)
+    again = replace(snapshot.inspection.inspection, recipe=recipe)
+    here.snapshot = dataclasses.replace(snapshot, inspection=dataclasses.replace(snapshot.inspection, inspection=again))
+    assert inputs(here)["Sensitivity"].value == 0.2
+
+
+def test_what_is_set_is_what_is_inspected():
+    here = here_of()
+    for label, value in (("Look at", "Picture"), ("Filters, px", "0, 3"), ("Compare", FORM), ("Sensitivity", 0.7)):
+        inputs(here)[label].put(value)
+    inputs(here)["Inspect"].act()
+    ((verb, recipe, dies, against),) = here.page.asked
+    assert (verb, recipe.evidence, recipe.scales_px, recipe.sensitivity) == ("inspect", "picture", (0.0, 3.0), 0.7)
+    assert (dies, against) == (None, "form")
+
+
+def test_limits_are_sent_to_the_inspection_that_is_there_only():
+    here = here_of()
+    inputs(here)["Max. per die"].put("3")
+    assert here.page.asked == [("limit", DefectLimits(max_per_die=3))]
+    with pytest.raises(MeasureError, match="not a number of defects"):
+        inputs(here)["Max. per mm²"].put("few")
+    first = here_of(inspection=None)
+    inputs(first)["Max. per die"].put("3")
+    assert first.page.asked == []
+
+
+def test_given_dies_are_asked_for_and_what_makes_no_recipe_says_why():
+    here = here_of()
+    assert "Pitch, µm" not in inputs(here)
+    inputs(here)["Dies"].put(GIVEN)
+    assert {"Pitch, µm", "Corner, µm", "Die, µm", "Angle, °"} <= inputs(here).keys()
+    inputs(here)["Filters, px"].put("wide")
+    assert inputs(here)["Kept as"].value == "not kept"
+    assert "are not numbers" in "".join(
+        str(one.content) for one in flat(inspection_form(here)) if isinstance(one, Html)
+    )

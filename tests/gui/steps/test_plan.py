@@ -13,13 +13,15 @@ from markupsafe import Markup
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as day
 from tests.gui.steps.test_steps import flat, labels
+from wafer_viewer.gui.elements import form as form_module
 from wafer_viewer.gui.elements.elements import Button, Fold, Html, Input
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps import job_dialogs
 from wafer_viewer.gui.steps.job_dialogs import FeatureForm, feature_of
 from wafer_viewer.gui.steps.plan import PICKS, plan_step, start, why_not_start
 from wafer_viewer.gui.steps.plan_form import PlanState, enter
-from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 
@@ -188,6 +190,98 @@ def test_feature_keeps_its_regions_and_an_impossible_one_is_refused():
         feature_of(replace(form, lower_limit="31", upper_limit="29"), old.places, "")
     places = (Region.rectangle(0, 0, 10, 20), Region.rectangle(30, 0, 40, 20))
     assert FeatureForm.of(replace(old, places=places)).corners[1] == ((30.0, 0.0), (40.0, 20.0))
+
+
+@pytest.fixture
+def dialogs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Dialogs that were opened: what they hold, what their button does, and their inputs."""
+    opened: list[Any] = []
+
+    def open_dialog(
+        page: Any, _title: str, _below: str, own: Any, answer: Any, _failed: str, fields: Any = None
+    ) -> None:
+        here = Here(page, own, lambda: None)
+        opened.append((here, lambda: answer[2](here.own), lambda: (fields or form_module._all_fields)(here)))
+
+    monkeypatch.setattr(job_dialogs, "form_dialog", open_dialog)
+    return opened
+
+
+def within(dialog: Any) -> dict[str, Any]:
+    return {one.label: one for one in flat(dialog[2]()) if isinstance(one, Input)}
+
+
+def test_dies_are_given_as_a_lattice_and_kept_where_fields_are(dialogs: list[Any]):
+    here = here_of(fake.planned())
+    job_dialogs.dies_dialog(here.page)
+    (dialog,) = dialogs
+    assert list(within(dialog)) == ["Pitch, µm", "Die, µm", "First die, µm", "Across, up"]
+    assert within(dialog)["Across, up"].least == 1
+    with pytest.raises(PlanError, match="type at least one of them"):
+        dialog[1]()
+    for label, value in (("Die, µm", "100 × 80"), ("First die, µm", (150.0, -140.0)), ("Across, up", (2.0, 1.0))):
+        within(dialog)[label].put(value)
+    with pytest.raises(PlanError, match="The pitch of the dies is not given"):
+        dialog[1]()
+    within(dialog)["Pitch, µm"].put("120 × 90")
+    dialog[1]()
+    here.page.session.arrive()
+    dies = here.page.session.snapshot.draft.job.dies
+    assert [(die.x_um, die.y_um) for die in dies.all()] == [(150.0, -140.0), (270.0, -140.0)]
+
+
+def test_corners_to_align_by_are_kept_and_the_old_alignment_goes(dialogs: list[Any]):
+    here = here_of(fake.planned())
+    job_dialogs.corners_dialog(here.page)
+    (dialog,) = dialogs
+    made = within(dialog)
+    assert list(made) == ["Corner 1", "x, y, µm", "Corner 2", "Limit, µm"], "labels repeat"
+    made["Corner 2"].put(" right ")
+    made["x, y, µm"].put((7.0, 8.0))
+    made["Limit, µm"].put(12.0)
+    dialog[1]()
+    here.page.session.arrive()
+    marks = here.page.session.snapshot.draft.job.marks
+    assert (marks.limit_um, marks.places[1].name, (marks.places[1].x_um, marks.places[1].y_um)) == (
+        12.0,
+        "right",
+        (7, 8),
+    )
+
+
+def test_release_needs_a_product_and_a_revision(dialogs: list[Any]):
+    here = here_of(fake.planned())
+    job_dialogs.release_dialog(here.page)
+    (dialog,) = dialogs
+    assert list(within(dialog)) == ["Product", "Revision", "Reason"]
+    with pytest.raises(PlanError, match="both need a name"):
+        dialog[1]()
+    within(dialog)["Product"].put("coupon ")
+    within(dialog)["Revision"].put("A")
+    dialog[1]()
+    here.page.session.arrive()
+    job = here.page.session.snapshot.draft.job
+    assert (job.product, job.revision) == ("coupon", "A")
+
+
+def test_feature_takes_tool_regions_and_value_of_a_kept_result(dialogs: list[Any]):
+    now = dataclasses.replace(fake.measured(), draft=fake.planned().draft)
+    here = here_of(now)
+    job_dialogs.feature_dialog(here.page)
+    (dialog,) = dialogs
+    source = within(dialog)["Measured as"]
+    source.put(next(name for name in source.options if "Step" in name or "drop" in name))
+    made = within(dialog)
+    assert float(made["Nominal, µm"].value) > 0
+    assert len(made["Quantity"].options) > 1
+    made["Upper limit"].put("90")
+    dialog[1]()
+    here.page.session.arrive()
+    (feature,) = here.page.session.snapshot.draft.job.features
+    assert (feature.upper_limit, feature.lower_limit, bool(feature.places)) == (90.0, None, True)
+    made["Upper limit"].put("9o")
+    with pytest.raises(WaferViewerError, match="Upper limit: '9o' is not a number"):
+        dialog[1]()
 
 
 def test_value_is_entered_once_and_a_newer_one_waits_for_its_own_answer():

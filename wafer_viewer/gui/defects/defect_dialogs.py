@@ -416,7 +416,7 @@ class ExcludedDialog:
 
     def __init__(self, page: Page, areas: Areas, keep: Callable[[Areas], None], proposed: Areas = ()) -> None:
         self._areas = (*areas, *proposed)
-        dialog = Dialog(page, "Areas left out", BELOW)
+        dialog = Dialog(page, "Excluded areas", BELOW)
         with dialog.modal:
             self._table = HtmlBlock(page.gui, area_table(self._areas))
             self._start = OptionalPair(page.gui, "From, µm", between=PLACE, hint=f"Lower left {CORNER}")

@@ -19,7 +19,7 @@ from wafer_viewer.gui.defects.defect_dialogs import (
     area_of_defect,
     recipes_dialog,
 )
-from wafer_viewer.gui.defects.inspection_form import PICKS, InspectionState, inspection_form, put, save
+from wafer_viewer.gui.defects.inspection_form import PICKS, InspectionState, inspection_form, save
 from wafer_viewer.gui.elements.step import StepPanel
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defects
@@ -131,7 +131,7 @@ class DefectSection:
         proposed = area_of_defect(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
 
         def keep(areas: tuple[Region, ...]) -> None:
-            put(self._form.here, "excluded", areas)
+            self._form.here.put("form.excluded", areas)
             self._form.here.keep(unfolded=True)
 
         guarded(page, STAYS)(ExcludedDialog)(page, self._form.here.own.form.excluded, keep, proposed)
@@ -146,7 +146,7 @@ class DefectSection:
         if state.work:
             return html.head("Defects", "being searched for")
         if state.inspection is None:
-            first = html.empty("Nothing was inspected yet:", "set the dial and press Inspect.")
+            first = html.empty("Nothing was inspected yet:", "set the sensitivity and press Inspect.")
             return html.head("Defects") + ("" if state.problem else first)
         fold = "Less" if self._form.here.own.unfolded else "Inspect again…"
         link = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("defect-form"), fold)
@@ -185,7 +185,7 @@ def _command_links_html() -> Markup:
         Markup('<span class="wv-link" {}>{}</span>').format(html.pick("defect-errand", key), e.short)
         for key, e in ERRANDS.items()
     )
-    areas = Markup('<span class="wv-link" {}>Leave out…</span>').format(html.pick("defect-excluded", "here"))
+    areas = Markup('<span class="wv-link" {}>Exclude…</span>').format(html.pick("defect-excluded", "here"))
     return Markup('<div class="wv-legend" style="margin:2px 0 6px">{}{}</div>').format(Markup("").join(links), areas)
 
 

@@ -133,7 +133,7 @@ def exclusion_line_html(form: DefectForm) -> Markup:
 def areas(form: DefectForm) -> str:
     """Return the number of excluded areas in words."""
     n = len(form.excluded)
-    return f"{n} {'area' if n == 1 else 'areas'} of every die left out" if n else "the whole die is searched"
+    return f"{n} {'area' if n == 1 else 'areas'} of every die excluded" if n else "the whole die is searched"
 
 
 def _a_mm2(text: str) -> str:
@@ -256,13 +256,12 @@ def why_not(snapshot: Snapshot) -> str:
     return "Not yet: the surface still grows." if snapshot.scanning else ""
 
 
-def put(here: Here[InspectionState], name: str, value: Any) -> None:
-    """Change a setting of the form."""
-    here.keep(form=replace(here.own.form, **{name: value}))
+def _put(here: Here[InspectionState], name: str, value: Any) -> None:
+    here.put(f"form.{name}", value)
 
 
 def _inputs(here: Here[InspectionState], *names: str, **state: Any) -> list[Input]:
-    return inputs_of(here.own.form, partial(put, here), *names, **state)
+    return inputs_of(here.own.form, partial(_put, here), *names, **state)
 
 
 def _more(here: Here[InspectionState]) -> Elements:
@@ -280,7 +279,7 @@ def _more(here: Here[InspectionState]) -> Elements:
 
 def _put_limit(here: Here[InspectionState], name: str, text: str) -> Future[None] | None:
     """Apply the limits to the present inspection; the verdict follows without another search."""
-    put(here, name, text)
+    _put(here, name, text)
     limits, page = limits_of(here.own.form.max_per_die, here.own.form.max_per_mm2), here.page
     if page.session.snapshot.inspection.inspection is None:
         return None
@@ -313,13 +312,13 @@ def _ask_golden(here: Here[InspectionState], _: str) -> None:
     def take(header: GoldenHeader) -> None:
         stored = here.page.session.snapshot.defect_files.golden
         newest = max((h.version for h in stored if h.name == header.name), default=header.version)
-        put(here, "golden", header.name if header.version == newest else f"{header.name}.{header.version}")
+        _put(here, "golden", header.name if header.version == newest else f"{header.name}.{header.version}")
 
     golden_file_dialog(here.page, take)
 
 
 PICKS: dict[str, Callable[[Here[InspectionState], str], Any]] = {
-    "defect-golden": lambda here, name: put(here, "golden", name),
+    "defect-golden": lambda here, name: _put(here, "golden", name),
     "defect-golden-file": _ask_golden,
     "defect-more": lambda here, _: here.keep(shows_more=not here.own.shows_more),
 }

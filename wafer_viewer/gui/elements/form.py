@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import typing
 from collections.abc import Callable
 from typing import Any
 
@@ -36,6 +37,8 @@ def spec_input(kind: type[Spec], path: str, value: Any, put: Callable[[Any], Any
     if field.kind is bool:
         return el.Checkbox(*parts, **state)
     least = limit.low if limit is not None else None
+    if typing.get_origin(field.kind) is tuple:
+        return el.NumberPair(*parts, step=setting.step, decimals=setting.decimals, least=least, **state)
     if field.kind is float and limit is not None and limit.low is not None and limit.high is not None:
         return el.Slider(*parts, least=limit.low, most=limit.high, step=setting.step, **state)
     if field.kind in (int, float):
@@ -47,10 +50,10 @@ def form_dialog(
     page: Page,
     title: str,
     below: str,
-    fields: Callable[[Here[C]], el.Elements],
     own: C,
     answer: tuple[str, Any, Callable[[C], Any]],
     failed: str,
+    fields: Callable[[Here[C]], el.Elements] | None = None,
 ) -> None:
     """Open a dialog of inputs.
 
@@ -60,22 +63,26 @@ def form_dialog(
         Page that the dialog lies on.
     title, below : str
         Heading and the sentence below it.
-    fields : callable
-        Inputs for what the dialog holds.
-    own : dataclass
-        Initial value of what it holds.
+    own : Spec or dataclass
+        Initial value of what the dialog holds.
     answer : tuple
         Label, icon and callback of the confirming button; the callback gets what the dialog holds.
     failed : str
         Title of a failure.
+    fields : callable, optional
+        Inputs for what the dialog holds; without it those of all labelled fields of a spec.
     """
     dialog = Dialog(page, title, below)
     label, icon, act = answer
     with dialog.modal:
         mount = Mount(page.gui, _JustDrawn(page), failed)
-    here = Here(page, own, lambda: mount.show(fields(here)))
+    here = Here(page, own, lambda: mount.show((fields or _all_fields)(here)))
     here.redraw()
     dialog.answers(label, icon, lambda: act(here.own), failed)
+
+
+def _all_fields(here: Here[Any]) -> el.Elements:
+    return form(here.own, here.put, *settings_of(type(here.own)))
 
 
 class _JustDrawn:

@@ -13,7 +13,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import BottomPanel
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets.ask import Ask
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import replace, with_field
 from wafer_viewer.session.state.snapshot import Snapshot
 
 C = TypeVar("C")
@@ -36,6 +36,11 @@ class Here(Generic[C]):
     def keep(self, **changes: Any) -> None:
         """Change what the step holds, and draw again."""
         self.own = replace(self.own, **changes)
+        self.redraw()
+
+    def put(self, path: str, value: Any) -> None:
+        """Change a field of what the step holds by its path, and draw again."""
+        self.own = with_field(self.own, path, value)
         self.redraw()
 
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.gui.elements.elements import Dropdown, Element, Elements, Html, Input, NumberPair, Stack, Text
-from wafer_viewer.gui.elements.form import form_dialog, spec_input
+from wafer_viewer.gui.elements.form import form, form_dialog, spec_input
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
@@ -32,7 +32,7 @@ from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.tools import TOOLS, ToolOptions
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace, settings_of
+from wafer_viewer.model.spec import Setting, Spec, Within, replace, settings_of
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
 from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.snapshot import JobEntry
@@ -41,7 +41,6 @@ NOT_CHANGED, NOT_RELEASED, NOT_TRIED = "The plan was not changed", "The job was 
 ICON = viser.Icon
 KEEP = "Keep"
 PITCH, DIE = "Pitch, µm", "Die, µm"
-FIRST_HINT = "Lower left corner of the lowest die at the left, wafer µm"
 MEASURED_HINT = "Typed in, or as a kept result: its tool, regions and settings"
 
 
@@ -104,17 +103,16 @@ def start_dialog(page: Page, checks: tuple[PreflightCheck, ...], begin: Callable
     below = "The scan can start, but this needs attention:"
     listed = [Html(lines([check for check in checks if check.state != "ok"]))]
     answer = "Start", ICON.PLAYER_PLAY, begin
-    form_dialog(page, "Start anyway?", below, lambda _: listed, None, answer, "The scan did not start")
+    form_dialog(page, "Start anyway?", below, None, answer, "The scan did not start", lambda _: listed)
 
 
 # -------------------------------------------------------------------------------------------------------------- release
 
 
-@dataclass(frozen=True, slots=True)
-class _ReleaseForm:
-    product: str
-    revision: str
-    why: str = ""
+class _ReleaseForm(Spec, frozen=True, kw_only=True):
+    product: Annotated[str, Setting("Product", "Product on the wafer, by which an operator chooses the job")]
+    revision: Annotated[str, Setting("Revision", "Of the job; a released revision cannot be changed")]
+    why: Annotated[str, Setting("Reason", "Recorded in the log", "not given")] = ""
 
 
 def trial_dialog(page: Page) -> None:
@@ -140,26 +138,22 @@ def release_dialog(page: Page) -> None:
     below = "Operators run it with four actions. It cannot be changed afterwards; a change is a new revision."
 
     def fields(here: Here[_ReleaseForm]) -> Elements:
-        def named(name: str) -> Input:
-            return spec_input(Job, name, getattr(here.own, name), lambda text: here.keep(**{name: text.strip()}))
-
-        reason = Text("Reason", here.own.why, lambda text: here.keep(why=text.strip()), "Recorded in the log")
-        before = Html(before_release(now.operating, trial_is_old(now)))
-        return [before, named("product"), named("revision"), reason]
+        before = before_release(now.operating, trial_is_old(now))
+        return [Html(before), *form(here.own, here.put, "product", "revision", "why")]
 
     def release(own: _ReleaseForm) -> None:
-        now.control.require_reason(own.why)
-        if not (own.product and own.revision):
+        why, product, revision = own.why.strip(), own.product.strip(), own.revision.strip()
+        now.control.require_reason(why)
+        if not (product and revision):
             raise PlanError("Product and revision both need a name: an operator chooses by them.")
 
         def write(_: Any) -> None:
-            done = page.session.jobs.release(own.why)
-            page.ask(NOT_RELEASED, done, lambda path: page.say("Released", str(path)))
+            page.ask(NOT_RELEASED, page.session.jobs.release(why), lambda path: page.say("Released", str(path)))
 
-        edit(page, then=write, product=own.product, revision=own.revision)
+        edit(page, then=write, product=product, revision=revision)
 
-    own = _ReleaseForm(job.product or job.sample.product, job.revision)
-    form_dialog(page, "Release the job", below, fields, own, ("Release", ICON.LOCK, release), NOT_RELEASED)
+    own = _ReleaseForm(product=job.product or job.sample.product, revision=job.revision)
+    form_dialog(page, "Release the job", below, own, ("Release", ICON.LOCK, release), NOT_RELEASED, fields)
 
 
 # -------------------------------------------------------------------------------------------------------------- corners
@@ -167,6 +161,8 @@ def release_dialog(page: Page) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _CornersForm:
+    """Marks before they are checked."""
+
     places: tuple[AlignmentMark, ...]
     limit_um: float
 
@@ -177,24 +173,29 @@ def corners_dialog(page: Page) -> None:
     below = "Corners of dies, far apart, in wafer µm: the middle of the wafer is (0, 0), its notch points down."
 
     def fields(here: Here[_CornersForm]) -> Elements:
-        def change(n: int, **changes: Any) -> None:
-            places = here.own.places
-            here.keep(places=(*places[:n], replace(places[n], **changes), *places[n + 1 :]))
-
-        def inputs(n: int, mark: AlignmentMark) -> Iterator[Element]:
-            name_hint, at_hint = "Name that an operator finds the corner by", "Where the corner is on the wafer, µm"
-            at = mark.x_um, mark.y_um
-            yield Text(f"Corner {n + 1}", mark.name, lambda name: change(n, name=name.strip()), name_hint)
-            yield NumberPair("x, y, µm", at, lambda at: change(n, x_um=at[0], y_um=at[1]), at_hint, decimals=2)
-
-        limit = spec_input(Marks, "limit_um", here.own.limit_um, lambda limit_um: here.keep(limit_um=limit_um))
-        return [*(one for n, mark in enumerate(here.own.places) for one in inputs(n, mark)), limit]
+        corners = (one for n in range(len(here.own.places)) for one in _corner_inputs(here, n))
+        return [*corners, spec_input(Marks, "limit_um", here.own.limit_um, partial(here.put, "limit_um"))]
 
     def keep(own: _CornersForm) -> None:
         edit(page, marks=Marks(places=own.places, limit_um=own.limit_um), alignment=None)
 
     own, answer = _CornersForm(marks.places, marks.limit_um), (KEEP, ICON.CHECK, keep)
-    form_dialog(page, "Alignment corners", below, fields, own, answer, "The corners were not changed")
+    form_dialog(page, "Alignment corners", below, own, answer, "The corners were not changed", fields)
+
+
+def _corner_inputs(here: Here[_CornersForm], n: int) -> tuple[Element, Element]:
+    mark = here.own.places[n]
+
+    def change(**changes: Any) -> None:
+        places = here.own.places
+        here.keep(places=(*places[:n], replace(places[n], **changes), *places[n + 1 :]))
+
+    name_hint, at_hint = "Name that an operator finds the corner by", "Where the corner is on the wafer, µm"
+    put_at = lambda at: change(x_um=at[0], y_um=at[1])  # noqa: E731 - as the other one
+    return (
+        Text(f"Corner {n + 1}", mark.name, lambda name: change(name=name.strip()), name_hint),
+        NumberPair("x, y, µm", (mark.x_um, mark.y_um), put_at, at_hint, decimals=2),
+    )
 
 
 def suggested_marks(overview: Overview | None) -> Marks:
@@ -221,12 +222,19 @@ DIES_TEXT = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _DiesForm:
-    pitch: str
-    size: str
-    first_um: Pair
-    counts: Pair
+_AtLeastOne = Annotated[float, Within(1)]
+
+
+class _DiesForm(Spec, frozen=True, kw_only=True):
+    pitch: Annotated[str, Setting(PITCH, "From die to die, to the right and upwards; over 0")]
+    size: Annotated[str, Setting(DIE, "Width and height of a die; over 0")]
+    first_um: Annotated[
+        tuple[float, float],
+        Setting("First die, µm", "Lower left corner of the lowest die at the left, wafer µm", decimals=2),
+    ]
+    counts: Annotated[
+        tuple[_AtLeastOne, _AtLeastOne], Setting("Across, up", "Number of dies side by side, and above each other")
+    ]
 
 
 def dies_dialog(page: Page) -> None:
@@ -234,25 +242,16 @@ def dies_dialog(page: Page) -> None:
     job = required_job(page)
     start = lattice_of(job.dies) if job.dies is not None else suggested_dies(page.session.snapshot.overview)
 
-    def fields(here: Here[_DiesForm]) -> Elements:
-        def put(name: str) -> tuple[Any, Callable[[Any], None]]:
-            return getattr(here.own, name), lambda value: here.keep(**{name: value})
-
-        return [
-            Text(PITCH, *put("pitch"), "From die to die, to the right and upwards; over 0"),
-            Text(DIE, *put("size"), "Width and height of a die; over 0"),
-            NumberPair("First die, µm", *put("first_um"), FIRST_HINT, step=1.0, decimals=2),
-            NumberPair(
-                "Across, up", *put("counts"), "Number of dies side by side, and above each other", step=1, least=1
-            ),
-        ]
-
     def keep(own: _DiesForm) -> None:
         edit(page, dies=within_fields(_lattice_of_form(own), required_job(page)))
 
-    pitch, size = _given(start.pitch_x_um, start.pitch_y_um), _given(start.width_um, start.height_um)
-    own = _DiesForm(pair_text(pitch), pair_text(size), (start.x0_um, start.y0_um), (start.cols, start.rows))
-    form_dialog(page, "Dies", DIES_TEXT, fields, own, (KEEP, ICON.CHECK, keep), "The dies were not changed")
+    own = _DiesForm(
+        pitch=pair_text(_given(start.pitch_x_um, start.pitch_y_um)),
+        size=pair_text(_given(start.width_um, start.height_um)),
+        first_um=(start.x0_um, start.y0_um),
+        counts=(start.cols, start.rows),
+    )
+    form_dialog(page, "Dies", DIES_TEXT, own, (KEEP, ICON.CHECK, keep), "The dies were not changed")
 
 
 def _lattice_of_form(own: _DiesForm) -> Dies:
@@ -419,7 +418,7 @@ def feature_dialog(page: Page, n: int | None = None) -> None:
         edit(page, features=(*features, made) if n is None else (*features[:n], made, *features[n + 1 :]))
 
     inputs = partial(_feature_inputs, stored=stored, first=AS_BEFORE if old else BY_HAND, dies=job.dies)
-    form_dialog(page, "Feature", FEATURE_TEXT, inputs, FeatureForm.of(old), (KEEP, ICON.CHECK, keep), STAYS)
+    form_dialog(page, "Feature", FEATURE_TEXT, FeatureForm.of(old), (KEEP, ICON.CHECK, keep), STAYS, inputs)
 
 
 def _feature_inputs(
@@ -442,12 +441,12 @@ def _feature_inputs(
         keep(form if result is None else form.with_quantity(result))
 
     def field(name: str, **state: Any) -> Input:
-        return spec_input(Feature, name, getattr(own, name), lambda value: here.keep(**{name: value}), **state)
+        return spec_input(Feature, name, getattr(own, name), partial(here.put, name), **state)
 
     def optional(name: str) -> Text:
         setting = settings[name].setting
         hint = f"{setting.about}; empty: {setting.empty}"
-        return Text(setting.title, getattr(own, name), lambda text: here.keep(**{name: text}), hint)
+        return Text(setting.title, getattr(own, name), partial(here.put, name), hint)
 
     quantities = (MAIN, *chosen.quantities) if chosen is not None else (own.quantity,)
     words = html.with_micro_sign(f"{TOOLS[own.tool].title}; its limits are in {own.unit}.")
