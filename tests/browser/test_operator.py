@@ -96,14 +96,6 @@ def check(page: Page, what: str) -> Locator:
     return page.get_by_role("listitem").filter(has_text=what)
 
 
-def test_a_full_disk_forbids_the_start_and_says_so(serve: Callable[..., Page]):
-    snapshot = day.aligned()
-    full = dataclasses.replace(snapshot, draft=dataclasses.replace(snapshot.draft, free_bytes=1_000_000))
-    page = serve(fake.FakeSession(full))
-    expect(check(page, "Disk")).to_contain_text("1.0 MB free. Free some space")
-    expect(start_button(page)).to_be_disabled()
-
-
 def test_what_is_not_as_it_should_be_is_asked_about_first(serve: Callable[..., Page]):
     session = fake.FakeSession(dataclasses.replace(fake.planned(), rig=replace_calibration(None)))
     page = serve(session)
@@ -176,18 +168,6 @@ def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_
     put(page, text_field(page, "Path"), str(tmp_path))
     press(page, "Try it")
     eventually(lambda: "trials.begin" in [name for name, _, _ in session.asked], "the plan is tried")
-
-
-def test_corner_is_not_marked_where_a_lost_stage_was_last_seen(serve: Callable[..., Page]):
-    waiting = day.released(day.a_released_job("W07"))
-    rig = dataclasses.replace(waiting.rig, state="absent", message="The stage does not answer.")
-    session = fake.FakeSession(dataclasses.replace(waiting, rig=rig))
-    page = serve(session)
-    go, mark = (page.get_by_role("button", name=name, exact=True) for name in ("Go there", "Mark here"))
-    expect(go).to_be_enabled()
-    expect(mark).to_be_disabled()
-    session.change(rig=dataclasses.replace(rig, state="ready", message=""))
-    expect(mark).to_be_enabled()
 
 
 QUICK_HAND = """

@@ -15,7 +15,6 @@ from tests.browser.steps import (
     eventually,
     go_to,
     notes,
-    numbers,
     press,
     put,
     set_numbers,
@@ -187,13 +186,6 @@ def test_a_plan_that_cannot_be_says_why_and_leaves_the_last_good_one(serve: Serv
     type_into(page, "Exposures, µs", "100, 400")
     expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
     assert session.snapshot.draft.job.exposures_us == (100.0, 400.0)
-
-
-def test_a_coarse_step_is_warned_of(serve: Serve):
-    page = serve(fake.FakeSession(fake.planned()))
-    expect(page.get_by_text("The step is coarse")).to_have_count(0)
-    numbers(page, "Step, µm").fill("6")
-    expect(page.get_by_text("over half the depth of field")).to_be_visible()
 
 
 def test_pause_asks_nothing_and_stop_halts_before_it_asks(serve: Serve):

@@ -223,7 +223,7 @@ class Setting:
     title: str
     about: str
     empty: str = ""
-    titles: Mapping[Any, str] = field(default_factory=dict[Any, str])
+    titles: Mapping[Any, str] = field(default_factory=dict[Any, str], hash=False)
     decimals: int = 0
     step: float = 1.0
 

@@ -165,6 +165,29 @@ def test_finer_step_restores_the_range_that_was_typed():
     assert inputs(here)["From, to, µm"].value == (0.0, 59.0)
 
 
+def test_coarse_step_is_warned_of():
+    now = fake.planned()
+    assert "The step is coarse" not in text(here_of(now))
+    coarse = replace(now.draft.job, sweep=replace(now.draft.job.sweep, z_step_um=6.0))
+    now = dataclasses.replace(now, draft=dataclasses.replace(now.draft, job=coarse))
+    assert "over half the depth of field" in text(here_of(now))
+
+
+def test_full_disk_forbids_the_start_and_says_so():
+    now = day.aligned()
+    here = here_of(dataclasses.replace(now, draft=dataclasses.replace(now.draft, free_bytes=1_000_000)))
+    assert "1.0 MB free. <b>Free some space" in text(here).replace("\u202f", " ")
+    assert inputs(here)["Start scan"].disabled
+
+
+def test_corner_is_not_marked_where_a_lost_stage_was_last_seen():
+    now = day.released(day.a_released_job("W07"))
+    lost = dataclasses.replace(now.rig, state="absent", message="The stage does not answer.")
+    found = inputs(here_of(dataclasses.replace(now, rig=lost)))
+    assert (found["Go there"].disabled, found["Mark here"].disabled) == (False, True)
+    assert not inputs(here_of(now))["Mark here"].disabled
+
+
 def test_scan_starts_at_once_if_nothing_needs_attention():
     here = here_of(fake.planned())
     assert why_not_start(here, here.snapshot) is None
