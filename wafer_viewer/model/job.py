@@ -43,8 +43,8 @@ class Job(Spec, frozen=True, kw_only=True):
     reconstruction.
     """
 
-    product: Annotated[str, Setting("Product", "Product on the wafer, by which an operator chooses the job")] = ""
-    revision: Annotated[str, Setting("Revision", "Of the job; a released revision cannot be changed")] = ""
+    product: str = ""
+    revision: str = ""
     sample: Sample = Sample()
     grid: FieldGrid | None = None
     fields: tuple[Field, ...] = ()

@@ -208,6 +208,7 @@ def inspection_form(here: Here[InspectionState]) -> Elements | None:
     golden = golden_table(snapshot.defect_files, form.product.strip(), form.golden) if form.compare == GOLDEN else ""
     why, (origin, saved_as) = why_not(snapshot), _described(here)
     names = (NOT_SAVED, *(recipe.name for recipe in snapshot.defect_files.recipes_of(form.product.strip())))
+    begin = Button("Inspect", partial(inspect, here), icon.SEARCH, disabled=bool(why), commands=True, failed=FAILED)
     kept_hint = "Saved by product; the one saved last is applied automatically"
     return [
         Html(_label(origin)),
@@ -218,7 +219,7 @@ def inspection_form(here: Here[InspectionState]) -> Elements | None:
         Html(advanced_settings_header(form, here.own.shows_more)),
         Stack(_more(here)) if here.own.shows_more else None,
         Html(_label(why) if why else ""),
-        Buttons([Button("Inspect", partial(inspect, here), icon.SEARCH, "plain", bool(why), True, failed=FAILED)], 34),
+        Buttons([begin], 34),
         Html(html.head("Recipe")),
         Dropdown("Kept as", saved_as, partial(_choose_recipe, here), kept_hint, options=names),
         *_inputs(here, "product"),

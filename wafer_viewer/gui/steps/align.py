@@ -161,8 +161,8 @@ def align_section(here: Here[PlanState], title: str) -> Elements:
         Html(_to_mark(snapshot, job, job.marks, corner)),
         Buttons(
             [
-                Button("Go there", go, icon.CROSSHAIR, "plain", still, True, failed="The stage did not move"),
-                Button("Mark here", mark_here, icon.MAP_PIN, "plain", lost, True, failed=NOT_MARKED),
+                Button("Go there", go, icon.CROSSHAIR, disabled=still, commands=True, failed="The stage did not move"),
+                Button("Mark here", mark_here, icon.MAP_PIN, disabled=lost, commands=True, failed=NOT_MARKED),
             ]
         ),
     ]

@@ -72,7 +72,14 @@ def plan_step(here: Here[PlanState]) -> Elements | None:
         Stack(_whole_plan(here, checks), failed=NOT_CHANGED) if not operating else None,
         Html("" if operating and stops(checks) else start_hint(snapshot.draft, why)),
         Button(
-            "Start scan", begin, ICON.PLAYER_PLAY, "leading", why is not None, True, failed=NOT_STARTED, height_px=46
+            "Start scan",
+            begin,
+            ICON.PLAYER_PLAY,
+            "leading",
+            disabled=why is not None,
+            commands=True,
+            failed=NOT_STARTED,
+            height_px=46,
         ),
     ]
 

@@ -216,7 +216,7 @@ def enter(here: Here[PlanState], key: str, value: Any) -> None:
     values = typed_values(draft.typed) | entered
     try:
         job = job_of(values, draft.job, snapshot.rig.limits, snapshot.control.author(""))
-    except PlanError as fault:
+    except WaferViewerError as fault:
         answer = page.session.keep_typed(Typed(msgspec.json.encode(values).decode(), str(fault)))
     else:
         answer = page.session.keep_typed(None) if job == draft.job else page.session.edit_job(job)
