@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import viser
@@ -13,16 +12,14 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import duration, number, with_unit
 from wafer_viewer.draw.surface.pictures import greys, patch_url
-from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Input, Stack
-from wafer_viewer.gui.elements.form import spec_input
+from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Stack
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.panels import unfold
-from wafer_viewer.gui.steps.plan_form import PlanState, enter, values_of
+from wafer_viewer.gui.steps.plan_form import PlanState, plan_inputs
 from wafer_viewer.gui.steps.preflight_lines import section
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import COMMIT_S
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.sample import Alignment, Marks, Sample
+from wafer_viewer.model.acquisition.sample import Alignment, Marks
 from wafer_viewer.model.job import Job
 from wafer_viewer.session.planning.preflight import PreflightCheck
 from wafer_viewer.session.state.snapshot import Draft, Snapshot
@@ -204,19 +201,13 @@ def operator_view(here: Here[PlanState], checks: tuple[PreflightCheck, ...]) -> 
     job = snapshot.draft.job
     if job is None:
         return []
-    values = values_of(snapshot, here.own.entered)
-
-    def named(name: str) -> Input:
-        key = f"sample.{name}"
-        return spec_input(Sample, name, values[key], partial(enter, here, key), commands=True, pause_s=COMMIT_S)
-
     return [
         Html(_title(snapshot, job)),
         Html(here.page.notes(snapshot)),
         Html(html.head("1 · Wafer", "type the id or scan its barcode")),
         Html(Markup('<div class="wv-scan"></div>'), padded=False),
-        named("wafer_id"),
-        Stack([named("lot"), named("operator")], side_by_side=True),
+        *plan_inputs(here, "sample.wafer_id"),
+        Stack(plan_inputs(here, "sample.lot", "sample.operator"), side_by_side=True),
         Html(FOCUS if not job.sample.wafer_id else "", padded=False),
         Stack(align_section(here, "2 · Align")),
         Html(section(checks, "3 · Start")),

@@ -16,12 +16,8 @@ from wafer_viewer.gui.elements.elements import (
     Buttons,
     Elements,
     Html,
-    NumberPair,
-    Slider,
     Stack,
-    Text,
 )
-from wafer_viewer.gui.elements.form import spec_input
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.import_export_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.page.page import Page
@@ -37,14 +33,12 @@ from wafer_viewer.gui.steps.job_dialogs import (
     required_job,
     start_dialog,
 )
-from wafer_viewer.gui.steps.plan_form import FOLLOW, NOT_CHANGED, SIZE, PlanState, enter, finer_range, values_of
+from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState, plan_inputs, step_input
 from wafer_viewer.gui.steps.preflight_lines import section
 from wafer_viewer.gui.steps.release import drop_feature, release_section
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import COMMIT_S
 from wafer_viewer.model.acquisition.plan import Price
 from wafer_viewer.model.acquisition.procedure import FoundExposure
-from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.job import Job
 from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.planning.plan_editor import PLAN_ENDING, suggested_name
@@ -153,16 +147,15 @@ PICKS: dict[str, Callable[[Here[PlanState], str], Any]] = {
 def _whole_plan(here: Here[PlanState], checks: tuple[PreflightCheck, ...]) -> Elements:
     snapshot, draft, page = here.snapshot, here.snapshot.draft, here.page
     jobs = snapshot.operating.jobs if draft.job is None else ()
-    values = values_of(snapshot, here.own.entered)
     return [
         Html(_title(draft)),
         Html(page.notes(snapshot)),
         Html(job_table(jobs, "job") if jobs else ""),
-        Stack(_sample(here, values)),
+        Stack(_sample(here)),
         Html(grid_head(snapshot)),
-        Stack(_grid(here, values)) if draft.job is not None and draft.job.grid is not None else None,
+        Stack(_grid(here, draft.job)) if draft.job is not None and draft.job.grid is not None else None,
         Html(_sweep_head(draft)),
-        Stack(_sweep(here, draft.job, values)) if draft.job is not None else None,
+        Stack(_sweep(here, draft.job)) if draft.job is not None else None,
         Stack(follow_section(here)),
         Html(strategies(snapshot, draft)),
         Buttons(
@@ -182,91 +175,33 @@ def _engineer(label: str, act: Callable[[], Any], icon: Any, disabled: bool = Fa
     return Button(label, act, icon, disabled=disabled, commands=True, action="Plan saved", failed=failed)
 
 
-def _names(here: Here[PlanState]) -> dict[str, Any]:
-    """Return the state of inputs that name the wafer."""
-    return {"commands": True, "pause_s": COMMIT_S}
-
-
-def _prepared(here: Here[PlanState]) -> dict[str, Any]:
-    """Return the state of inputs that an engineer prepares; a released job has them fixed."""
-    job = here.snapshot.draft.job
-    return {**_names(here), "action": "Plan saved", "disabled": job is not None and job.released}
-
-
-def _sample(here: Here[PlanState], values: dict[str, Any]) -> Elements:
-    def named(name: str, state: dict[str, Any]) -> Any:
-        key = f"sample.{name}"
-        return spec_input(Sample, name, values[key], partial(enter, here, key), **state)
-
-    free, fixed = _names(here), _prepared(here)
-    size_hint = "Width and height of the outline, mm; over 0"
+def _sample(here: Here[PlanState]) -> Elements:
     return [
         Html(html.head("Sample")),
-        named("name", free),
-        Stack([named("lot", free), named("wafer_id", free)], side_by_side=True),
-        Stack([named("product", fixed), named("operator", free)], side_by_side=True),
-        Text(SIZE, values["size"], partial(enter, here, "size"), size_hint, **fixed),
+        *plan_inputs(here, "sample.name"),
+        Stack(plan_inputs(here, "sample.lot", "sample.wafer_id"), side_by_side=True),
+        Stack(plan_inputs(here, "sample.product", "sample.operator"), side_by_side=True),
+        *plan_inputs(here, "size"),
     ]
 
 
-def _grid(here: Here[PlanState], values: dict[str, Any]) -> Elements:
-    session, fixed = here.page.session, _prepared(here)
+def _grid(here: Here[PlanState], job: Job) -> Elements:
+    session = here.page.session
+    cover = _engineer("Cover the sample", session.cover_sample, ICON.ARROWS_MAXIMIZE, job.released, GRID_FAILED)
+    centre = _engineer("Move to stage", session.centre_on_stage, ICON.CROSSHAIR, job.released, GRID_FAILED)
+    return [*plan_inputs(here, "counts", "overlap", "centre"), Buttons([cover, centre])]
 
-    def put(key: str) -> tuple[Any, Callable[[Any], None]]:
-        return values[key], partial(enter, here, key)
 
-    counts = "Fields side by side and one above the other; at least 1"
-    overlap = "Of neighbouring fields, share of a field's side; 0 to 50 %. Stitching needs 8 % or more"
-    centre = "Centre of the grid, stage x and y in µm"
-    off = fixed["disabled"]
+def _sweep(here: Here[PlanState], job: Job) -> Elements:
+    snapshot, find = here.snapshot, here.page.session.find_exposure
+    busy = job.released or snapshot.draft.plan is None or not snapshot.rig.can_start
     return [
-        NumberPair("Columns, rows", *put("counts"), counts, step=1, least=1, **fixed),
-        Slider("Overlap, %", *put("overlap"), overlap, least=0.0, most=50.0, step=0.5, **fixed),
-        NumberPair("Centre, µm", *put("centre"), centre, step=0.1, decimals=2, **fixed),
-        Buttons(
-            [
-                _engineer("Cover the sample", session.cover_sample, ICON.ARROWS_MAXIMIZE, off, GRID_FAILED),
-                _engineer("Move to stage", session.centre_on_stage, ICON.CROSSHAIR, off, GRID_FAILED),
-            ]
-        ),
-    ]
-
-
-def _sweep(here: Here[PlanState], job: Job, values: dict[str, Any]) -> Elements:
-    fixed, snapshot = _prepared(here), here.snapshot
-    *range_um, step_um = values["sweep"]
-
-    def now() -> tuple[float, float, float]:
-        return values_of(here.page.session.snapshot, here.own.entered)["sweep"]
-
-    def put_range(value: tuple[float, float]) -> None:
-        here.keep(range_um=value)
-        enter(here, "sweep", (*value, now()[2]))
-
-    def put_step(step_um: float) -> None:
-        whole_um = finer_range(here.page.session.snapshot.draft.job, now(), here.own.range_um)
-        enter(here, "sweep", (*whole_um, step_um))
-
-    def put(key: str) -> tuple[Any, Callable[[Any], None]]:
-        return values[key], partial(enter, here, key)
-
-    busy = fixed["disabled"] or snapshot.draft.plan is None or not snapshot.rig.can_start
-    range_hint = "Lowest and highest frame, stage z in µm"
-    follow_hint = (
-        "Depth about the focus, such as 5, 5: a coarse look finds the focus, and every field takes its own part of the "
-        "sweep. Empty: the whole sweep."
-    )
-    times_hint = "One time, or several with commas: the frames of one z are then fused"
-    return [
-        NumberPair("From, to, µm", tuple(range_um), put_range, range_hint, step=0.5, decimals=2, **fixed),
-        spec_input(Job, "sweep.z_step_um", step_um, put_step, **fixed),
-        Text(FOLLOW, *put("follow"), follow_hint, **fixed),
-        Text("Exposures, µs", *put("exposures"), times_hint, **fixed),
-        Buttons(
-            [_engineer("Find the exposure", here.page.session.find_exposure, ICON.BRIGHTNESS_UP, busy, EXPOSURE_FAILED)]
-        ),
+        *plan_inputs(here, "sweep"),
+        step_input(here),
+        *plan_inputs(here, "follow", "exposures"),
+        Buttons([_engineer("Find the exposure", find, ICON.BRIGHTNESS_UP, busy, EXPOSURE_FAILED)]),
         Html(found_exposure(snapshot)),
-        spec_input(Job, "compression", *put("compression"), **fixed),
+        *plan_inputs(here, "compression"),
         Html(_depth_of_field_warning(snapshot, job)),
     ]
 

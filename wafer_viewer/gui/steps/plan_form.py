@@ -9,11 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import msgspec
 
+from wafer_viewer.gui.elements.elements import Input, NumberPair, Slider, Text
+from wafer_viewer.gui.elements.form import spec_input
 from wafer_viewer.gui.elements.step import Here
+from wafer_viewer.gui.widgets.callbacks import COMMIT_S
 from wafer_viewer.gui.widgets.number_field import PLACE, Pair, pair_of, pair_text
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, FollowFocus
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
@@ -44,10 +48,15 @@ class PlanState:
 
 @dataclass(frozen=True, slots=True)
 class PlanField:
-    """A value of the form: that of a job, and the job with another value."""
+    """A value of the form: that of a job, the job with another value, and its input.
+
+    prepared: by an engineer, and fixed in a released job.
+    """
 
     get: Callable[[Job], Any]
     put: Callable[[Job, Any], Job]
+    make: Callable[..., Input]
+    prepared: bool = True
 
 
 def _rounded(*numbers: float) -> tuple[float, ...]:
@@ -132,27 +141,52 @@ def _with_follow(job: Job, text: str) -> Job:
     return replace(job, follow_focus=made)
 
 
-def _at(path: str) -> PlanField:
+def _at(path: str, *, prepared: bool = True) -> PlanField:
     def put(job: Job, value: Any) -> Job:
         return with_field(job, path, value.strip())
 
-    return PlanField(lambda job: value_at(job, path), put)
+    return PlanField(lambda job: value_at(job, path), put, partial(spec_input, Job, path), prepared)
 
 
-PATHS = ("name", "lot", "wafer_id", "product", "operator")
+def _counts(job: Job) -> Pair:
+    return (float(job.grid.cols), float(job.grid.rows)) if job.grid else (1.0, 1.0)
+
+
+def _overlap(job: Job) -> float:
+    return round(100 * job.grid.overlap_x_fraction, 2) if job.grid else 0.0
+
+
+def _centre(job: Job) -> tuple[float, ...]:
+    return _rounded(*job.grid.center_um) if job.grid else (0.0, 0.0)
+
+
+def _exposures(job: Job) -> str:
+    return ", ".join(f"{time_us:g}" for time_us in job.exposures_us)
+
+
+COUNTS_HINT = "Fields side by side and one above the other; at least 1"
+OVERLAP_HINT = "Of neighbouring fields, share of a field's side; 0 to 50 %. Stitching needs 8 % or more"
+CENTRE_HINT = "Centre of the grid, stage x and y in µm"
+RANGE_HINT = "Lowest and highest frame, stage z in µm"
+TIMES_HINT = "One time, or several with commas: the frames of one z are then fused"
+FOLLOW_HINT = (
+    "Depth about the focus, such as 5, 5: a coarse look finds the focus, and every field takes its own part of the "
+    "sweep. Empty: the whole sweep."
+)
 FIELDS: dict[str, PlanField] = {
-    **{path: _at(path) for path in (*(f"sample.{name}" for name in PATHS), "compression")},
-    "size": PlanField(_size, _with_size),
+    **{f"sample.{name}": _at(f"sample.{name}", prepared=False) for name in ("name", "lot", "wafer_id", "operator")},
+    **{path: _at(path) for path in ("sample.product", "compression")},
+    "size": PlanField(_size, _with_size, partial(Text, SIZE, hint="Width and height of the outline, mm; over 0")),
     "overlap": PlanField(
-        lambda job: round(100 * job.grid.overlap_x_fraction, 2) if job.grid else 0.0, _on_grid(_overlapping)
+        _overlap, _on_grid(_overlapping), partial(Slider, "Overlap, %", hint=OVERLAP_HINT, most=50.0, step=0.5)
     ),
     "counts": PlanField(
-        lambda job: (float(job.grid.cols), float(job.grid.rows)) if job.grid else (1.0, 1.0), _on_grid(_resized)
+        _counts, _on_grid(_resized), partial(NumberPair, "Columns, rows", hint=COUNTS_HINT, step=1, least=1)
     ),
-    "centre": PlanField(lambda job: _rounded(*job.grid.center_um) if job.grid else (0.0, 0.0), _centred),
-    "sweep": PlanField(_sweep, _with_sweep),
-    "exposures": PlanField(lambda job: ", ".join(f"{e:g}" for e in job.exposures_us), _with_exposures),
-    "follow": PlanField(_follow, _with_follow),
+    "centre": PlanField(_centre, _centred, partial(NumberPair, "Centre, µm", hint=CENTRE_HINT, decimals=2)),
+    "sweep": PlanField(_sweep, _with_sweep, partial(NumberPair, "From, to, µm", hint=RANGE_HINT, step=0.5, decimals=2)),
+    "exposures": PlanField(_exposures, _with_exposures, partial(Text, "Exposures, µs", hint=TIMES_HINT)),
+    "follow": PlanField(_follow, _with_follow, partial(Text, FOLLOW, hint=FOLLOW_HINT)),
 }
 """Values of the form, in the order in which they are applied; paths with dots are fields of the job."""
 
@@ -228,6 +262,43 @@ def enter(here: Here[PlanState], key: str, value: Any) -> None:
 
     page.ask(NOT_CHANGED, answer)
     answer.add_done_callback(arrived)
+
+
+def plan_inputs(here: Here[PlanState], *keys: str) -> list[Input]:
+    """Return the inputs of values of the form; that of the sweep is its range."""
+    values, job = values_of(here.snapshot, here.own.entered), here.snapshot.draft.job
+
+    def made(key: str) -> Input:
+        form_field, value, put = FIELDS[key], values[key], partial(enter, here, key)
+        if key == "sweep":
+            value, put = value[:2], partial(_enter_range, here)
+        return form_field.make(value=value, put=put, **state_of(job, prepared=form_field.prepared))
+
+    return [made(key) for key in keys]
+
+
+def step_input(here: Here[PlanState]) -> Input:
+    """Return the input of the step of the sweep."""
+    snapshot = here.snapshot
+    step_um = values_of(snapshot, here.own.entered)["sweep"][2]
+    return spec_input(Job, "sweep.z_step_um", step_um, partial(_enter_step, here), **state_of(snapshot.draft.job))
+
+
+def state_of(job: Job | None, *, prepared: bool = True) -> dict[str, Any]:
+    """Return the state of inputs that an engineer prepares, which a released job has fixed, or of the others."""
+    fixed = {"action": "Plan saved", "disabled": job is not None and job.released} if prepared else {}
+    return {"commands": True, "pause_s": COMMIT_S, **fixed}
+
+
+def _enter_range(here: Here[PlanState], range_um: Pair) -> None:
+    here.keep(range_um=range_um)
+    enter(here, "sweep", (*range_um, values_of(here.page.session.snapshot, here.own.entered)["sweep"][2]))
+
+
+def _enter_step(here: Here[PlanState], step_um: float) -> None:
+    snapshot = here.page.session.snapshot
+    sweep = values_of(snapshot, here.own.entered)["sweep"]
+    enter(here, "sweep", (*finer_range(snapshot.draft.job, sweep, here.own.range_um), step_um))
 
 
 def finer_range(job: Job | None, sweep: tuple[float, float, float], typed_um: Pair | None) -> Pair:
