@@ -353,16 +353,16 @@ def _in_any(x_um: float, y_um: float, boxes: list[tuple[float, float, float, flo
 BY_HAND, AS_BEFORE, MAIN = "as typed below", "as before", "the main one"
 STAYS = "The feature was not changed"
 FEATURE_TEXT = "A step height as typed below, or any result kept on the surface shown, with the limits of a good wafer."
-Corners = tuple[Pair, Pair]
-"""Opposite corners of a rectangle."""
-_NO_CORNERS: Corners = ((0.0, 0.0), (0.0, 0.0))
+_NUMBERS = ("nominal", "lower_limit", "upper_limit")
+_CORNERS = ("Upper, µm", "– to, µm", "Lower, µm", "– to, µm")
+"""Labels of opposite corners of the two regions of a step."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureForm:
     """Feature under construction; a chosen kept result sets tool, regions and quantity.
 
-    source: name of the kept result. corners: regions of a step.
+    source: name of the kept result. corners: of the regions of a step.
     """
 
     source: str = BY_HAND
@@ -377,7 +377,7 @@ class FeatureForm:
     per_die: bool = False
     places: tuple[Region, ...] = ()
     options: ToolOptions | None = None
-    corners: tuple[Corners, Corners] = (_NO_CORNERS, _NO_CORNERS)
+    corners: tuple[Pair, ...] = ((0.0, 0.0),) * len(_CORNERS)
 
     @classmethod
     def of(cls, old: Feature | None) -> FeatureForm:
@@ -385,7 +385,7 @@ class FeatureForm:
         if old is None:
             return cls()
         same = ("name", "tool", "unit", "decision_rule", "per_die", "places", "options")
-        numbers = {name: text_of(getattr(old, name)) for name in ("nominal", "lower_limit", "upper_limit")}
+        numbers = {name: text_of(getattr(old, name)) for name in _NUMBERS}
         form = cls(AS_BEFORE, quantity=old.quantity or MAIN, **numbers, **{name: getattr(old, name) for name in same})
         return form if old.tool != "step" or not old.places else replace(form, corners=_corners(old.places))
 
@@ -458,33 +458,24 @@ def _feature_inputs(
         optional("nominal"),
         Stack([optional("lower_limit"), optional("upper_limit")], side_by_side=True),
         field("decision_rule"),
-        *(_region_inputs(here, k, name) for k, name in enumerate(("Upper", "Lower")) if own.tool == "step"),
+        *(_corner_of_region(here, k) for k in range(len(_CORNERS)) if own.tool == "step"),
         field("per_die", disabled=dies is None),
     ]
 
 
-def _region_inputs(here: Here[FeatureForm], k: int, name: str) -> Stack:
-    """Return inputs for two opposite corners of a region."""
+def _corner_of_region(here: Here[FeatureForm], k: int) -> NumberPair:
+    def put(at: Pair) -> None:
+        corners = here.own.corners
+        here.keep(corners=(*corners[:k], at, *corners[k + 1 :]))
 
-    def put(end: int, at: Pair) -> None:
-        corners = [list(pair) for pair in here.own.corners]
-        corners[k][end] = at
-        here.keep(corners=tuple((first, last) for first, last in corners))
-
-    labels = (f"{name}, µm", "A corner of the region, µm"), ("– to, µm", "The opposite corner, µm")
-    pairs = [
-        NumberPair(label, here.own.corners[k][end], partial(put, end), hint, step=0.5, decimals=2)
-        for end, (label, hint) in enumerate(labels)
-    ]
-    return Stack(pairs, key=name)
+    hint = "The opposite corner, µm" if k % 2 else "A corner of the region, µm"
+    return NumberPair(_CORNERS[k], here.own.corners[k], put, hint, step=0.5, decimals=2)
 
 
 def feature_of(own: FeatureForm, places: tuple[Region, ...], unnamed: str) -> Feature:
     """Return the feature of a form. Raises WaferViewerError if it is invalid."""
-    numbers = {
-        name: number_of(getattr(own, name), settings_of(Feature)[name].setting.title)
-        for name in ("nominal", "lower_limit", "upper_limit")
-    }
+    settings = settings_of(Feature)
+    numbers = {name: number_of(getattr(own, name), settings[name].setting.title) for name in _NUMBERS}
     return Feature(
         name=own.name.strip() or unnamed,
         tool=own.tool,
@@ -503,8 +494,9 @@ def _required_places(own: FeatureForm, dies: Dies | None, *, counted: bool) -> t
 
     counted: they are relative to a die already.
     """
-    step = own.tool == "step"
-    places = tuple(Region.rectangle(*first, *last) for first, last in own.corners) if step else own.places
+    ends = own.corners
+    steps = Region.rectangle(*ends[0], *ends[1]), Region.rectangle(*ends[2], *ends[3])
+    places = steps if own.tool == "step" else own.places
     if not places:
         raise PlanError("The feature has no place: choose a result that was kept.")
     if dies is None or own.per_die == counted:
@@ -514,8 +506,7 @@ def _required_places(own: FeatureForm, dies: Dies | None, *, counted: bool) -> t
     return relative_to_die(places, dies)
 
 
-def _corners(places: tuple[Region, ...], digits: int = 6) -> tuple[Corners, Corners]:
-    """Return the corners of the two regions of a step."""
-    boxes = [tuple(round(end, digits) for end in place.bounds_um) for place in places]
-    upper, lower = (((x0, y0), (x1, y1)) for x0, y0, x1, y1 in boxes)
-    return upper, lower
+def _corners(places: tuple[Region, ...], digits: int = 6) -> tuple[Pair, ...]:
+    """Return opposite corners of each region."""
+    boxes = [[round(end, digits) for end in place.bounds_um] for place in places]
+    return tuple(corner for x0, y0, x1, y1 in boxes for corner in ((x0, y0), (x1, y1)))
