@@ -201,13 +201,14 @@ def operator_view(here: Here[PlanState], checks: tuple[PreflightCheck, ...]) -> 
     job = snapshot.draft.job
     if job is None:
         return []
+    inputs = plan_inputs(here)
     return [
         Html(_title(snapshot, job)),
         Html(here.page.notes(snapshot)),
         Html(html.head("1 · Wafer", "type the id or scan its barcode")),
         Html(Markup('<div class="wv-scan"></div>'), padded=False),
-        *plan_inputs(here, "sample.wafer_id"),
-        Stack(plan_inputs(here, "sample.lot", "sample.operator"), side_by_side=True),
+        *inputs("sample.wafer_id"),
+        Stack(inputs("sample.lot", "sample.operator"), side_by_side=True),
         Html(FOCUS if not job.sample.wafer_id else "", padded=False),
         Stack(align_section(here, "2 · Align")),
         Html(section(checks, "3 · Start")),

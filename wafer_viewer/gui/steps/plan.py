@@ -16,6 +16,7 @@ from wafer_viewer.gui.elements.elements import (
     Buttons,
     Elements,
     Html,
+    Input,
     Stack,
 )
 from wafer_viewer.gui.elements.step import Here
@@ -33,7 +34,7 @@ from wafer_viewer.gui.steps.job_dialogs import (
     required_job,
     start_dialog,
 )
-from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState, plan_inputs, step_input
+from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState, plan_inputs
 from wafer_viewer.gui.steps.preflight_lines import section
 from wafer_viewer.gui.steps.release import drop_feature, release_section
 from wafer_viewer.gui.widgets import html
@@ -147,15 +148,16 @@ PICKS: dict[str, Callable[[Here[PlanState], str], Any]] = {
 def _whole_plan(here: Here[PlanState], checks: tuple[PreflightCheck, ...]) -> Elements:
     snapshot, draft, page = here.snapshot, here.snapshot.draft, here.page
     jobs = snapshot.operating.jobs if draft.job is None else ()
+    inputs = plan_inputs(here)
     return [
         Html(_title(draft)),
         Html(page.notes(snapshot)),
         Html(job_table(jobs, "job") if jobs else ""),
-        Stack(_sample(here)),
+        Stack(_sample(inputs)),
         Html(grid_head(snapshot)),
-        Stack(_grid(here, draft.job)) if draft.job is not None and draft.job.grid is not None else None,
+        Stack(_grid(here, draft.job, inputs)) if draft.job is not None and draft.job.grid is not None else None,
         Html(_sweep_head(draft)),
-        Stack(_sweep(here, draft.job)) if draft.job is not None else None,
+        Stack(_sweep(here, draft.job, inputs)) if draft.job is not None else None,
         Stack(follow_section(here)),
         Html(strategies(snapshot, draft)),
         Buttons(
@@ -175,33 +177,31 @@ def _engineer(label: str, act: Callable[[], Any], icon: Any, disabled: bool = Fa
     return Button(label, act, icon, disabled=disabled, commands=True, action="Plan saved", failed=failed)
 
 
-def _sample(here: Here[PlanState]) -> Elements:
+def _sample(inputs: Callable[..., list[Input]]) -> Elements:
     return [
         Html(html.head("Sample")),
-        *plan_inputs(here, "sample.name"),
-        Stack(plan_inputs(here, "sample.lot", "sample.wafer_id"), side_by_side=True),
-        Stack(plan_inputs(here, "sample.product", "sample.operator"), side_by_side=True),
-        *plan_inputs(here, "size"),
+        *inputs("sample.name"),
+        Stack(inputs("sample.lot", "sample.wafer_id"), side_by_side=True),
+        Stack(inputs("sample.product", "sample.operator"), side_by_side=True),
+        *inputs("size"),
     ]
 
 
-def _grid(here: Here[PlanState], job: Job) -> Elements:
+def _grid(here: Here[PlanState], job: Job, inputs: Callable[..., list[Input]]) -> Elements:
     session = here.page.session
     cover = _engineer("Cover the sample", session.cover_sample, ICON.ARROWS_MAXIMIZE, job.released, GRID_FAILED)
     centre = _engineer("Move to stage", session.centre_on_stage, ICON.CROSSHAIR, job.released, GRID_FAILED)
-    return [*plan_inputs(here, "counts", "overlap", "centre"), Buttons([cover, centre])]
+    return [*inputs("counts", "overlap", "centre"), Buttons([cover, centre])]
 
 
-def _sweep(here: Here[PlanState], job: Job) -> Elements:
+def _sweep(here: Here[PlanState], job: Job, inputs: Callable[..., list[Input]]) -> Elements:
     snapshot, find = here.snapshot, here.page.session.find_exposure
     busy = job.released or snapshot.draft.plan is None or not snapshot.rig.can_start
     return [
-        *plan_inputs(here, "sweep"),
-        step_input(here),
-        *plan_inputs(here, "follow", "exposures"),
+        *inputs("sweep", "step", "follow", "exposures"),
         Buttons([_engineer("Find the exposure", find, ICON.BRIGHTNESS_UP, busy, EXPOSURE_FAILED)]),
         Html(found_exposure(snapshot)),
-        *plan_inputs(here, "compression"),
+        *inputs("compression"),
         Html(_depth_of_field_warning(snapshot, job)),
     ]
 

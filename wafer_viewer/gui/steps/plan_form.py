@@ -227,8 +227,8 @@ def typed_values(typed: Typed | None) -> dict[str, Any]:
         values = msgspec.json.decode(typed.form, type=dict[str, str | float | tuple[float, ...]]) if typed else {}
     except (msgspec.DecodeError, msgspec.ValidationError):
         return {}
-    model = {key: form_field.get(no_job()) for key, form_field in FIELDS.items()}
-    return values if all(_alike(model.get(key), value) for key, value in values.items()) else {}
+    known = all(key in FIELDS and _alike(FIELDS[key].get(no_job()), value) for key, value in values.items())
+    return values if known else {}
 
 
 def _alike(a: object, b: object) -> bool:
@@ -264,27 +264,23 @@ def enter(here: Here[PlanState], key: str, value: Any) -> None:
     answer.add_done_callback(arrived)
 
 
-def plan_inputs(here: Here[PlanState], *keys: str) -> list[Input]:
-    """Return the inputs of values of the form; that of the sweep is its range."""
+def plan_inputs(here: Here[PlanState]) -> Callable[..., list[Input]]:
+    """Return the function that makes the inputs of values of the form; the range and the step of a sweep are two."""
     values, job = values_of(here.snapshot, here.own.entered), here.snapshot.draft.job
 
     def made(key: str) -> Input:
+        if key == "step":
+            step_um, put_step = values["sweep"][2], partial(_enter_step, here)
+            return spec_input(Job, "sweep.z_step_um", step_um, put_step, **_state_of(job))
         form_field, value, put = FIELDS[key], values[key], partial(enter, here, key)
         if key == "sweep":
             value, put = value[:2], partial(_enter_range, here)
-        return form_field.make(value=value, put=put, **state_of(job, prepared=form_field.prepared))
+        return form_field.make(value=value, put=put, **_state_of(job, prepared=form_field.prepared))
 
-    return [made(key) for key in keys]
-
-
-def step_input(here: Here[PlanState]) -> Input:
-    """Return the input of the step of the sweep."""
-    snapshot = here.snapshot
-    step_um = values_of(snapshot, here.own.entered)["sweep"][2]
-    return spec_input(Job, "sweep.z_step_um", step_um, partial(_enter_step, here), **state_of(snapshot.draft.job))
+    return lambda *keys: [made(key) for key in keys]
 
 
-def state_of(job: Job | None, *, prepared: bool = True) -> dict[str, Any]:
+def _state_of(job: Job | None, *, prepared: bool = True) -> dict[str, Any]:
     """Return the state of inputs that an engineer prepares, which a released job has fixed, or of the others."""
     fixed = {"action": "Plan saved", "disabled": job is not None and job.released} if prepared else {}
     return {"commands": True, "pause_s": COMMIT_S, **fixed}
