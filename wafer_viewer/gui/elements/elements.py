@@ -24,7 +24,8 @@ class Element:
     """Base of all elements.
 
     key: identity among its siblings, if its place does not tell it: an element whose key or place stays keeps its
-    widget, with focus and cursor.
+    widget, with focus and cursor. Stacks that take turns at one place share its order: what is hidden may lie between
+    what is shown, so that neither may have elements side by side.
     """
 
     key: object = None
