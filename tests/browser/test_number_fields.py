@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from itertools import cycle
 
@@ -11,8 +12,12 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.sessions import fake_session as fake
-from tests.browser.steps import HAND_MS, eventually, numbers, put, text_field
+from tests.browser.sessions.gauge_blocks import certificate
+from tests.browser.sessions.gauge_session import TERMS, GaugeSession
+from tests.browser.steps import HAND_MS, eventually, go_to, notes, numbers, put, text_field
+from wafer_viewer.gui.elements.elements import PAUSE_S
 from wafer_viewer.model.acquisition.plan import FocusSweep
+from wafer_viewer.session.state.inspection_state import GaugeState
 
 pytestmark = [
     pytest.mark.browser,
@@ -152,3 +157,25 @@ def test_a_double_click_in_a_text_takes_the_number_with_its_sign(serve: Serve, s
     field.dblclick(position={"x": 15, "y": 10})
     page.keyboard.type("-12", delay=HAND_MS)
     assert field.input_value() == "-12, 5"
+
+
+def test_half_a_number_is_not_judged_and_tab_takes_it(serve: Callable[[GaugeSession], Page]):
+    session = GaugeSession(GaugeState(certificate=certificate(), terms=TERMS))
+    page = serve(session)
+    go_to(page, "Gauge check")
+    limit = text_field(page, "Limit, ± µm")
+    limit.fill("0")
+    page.wait_for_timeout(PAUSE_S * 500)
+    limit.fill("0.7")
+    begun_s = time.monotonic()
+    limit.press("Tab")
+    eventually(lambda: session.snapshot.gauge.terms.limit_um == 0.7, "the limit")
+    assert time.monotonic() - begun_s < PAUSE_S
+    assert notes(page).count() == 0
+    put(page, limit, "0")
+    expect(notes(page)).to_have_count(1)
+    put(page, limit, "-3")
+    expect(notes(page)).to_contain_text("is -3")
+    expect(notes(page)).to_have_count(1)
+    put(page, limit, "0.6")
+    expect(notes(page)).to_have_count(0)

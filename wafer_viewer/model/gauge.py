@@ -16,7 +16,7 @@ from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
 from wafer_viewer.model.quantity import Length, Unit, Word
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Setting, Spec, Within
 
 Grade = Literal["K", "0", "1", "2"]
 VARIATION_UM: dict[Grade, float] = {"K": 0.05, "0": 0.10, "1": 0.16, "2": 0.30}
@@ -137,11 +137,13 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
-    limit_um: Positive | None = None
-    temperature_c: Annotated[float, Within(0, 50)] | None = None
+    limit_um: Annotated[Positive | None, Setting("Limit, ± µm", "Largest error allowed, on either side")] = None
+    temperature_c: Annotated[
+        Annotated[float, Within(0, 50)] | None, Setting("Blocks, °C", "Temperature of the blocks")
+    ] = None
     u_temperature_c: NonNegative = 0.5
-    tolerance_um: Positive | None = None
-    interval_days: Annotated[int, Within(1, 3660)] = 30
+    tolerance_um: Annotated[Positive | None, Setting("Tolerance, µm", "Upper limit less lower of the product")] = None
+    interval_days: Annotated[int, Within(1, 3660), Setting("Next in, days", "Days until the next check is due")] = 30
 
 
 class GaugeRepeat(Spec, frozen=True, kw_only=True):

@@ -37,6 +37,13 @@ class Page:
     """A page that notes what it is told; what was read before an input is older than it."""
 
     told: list[Any] = field(default_factory=list)
+    entered: list[Any] = field(default_factory=list)
+
+    def settle(self, title: str) -> None:
+        self.told = [note for note in self.told if note[0] != title]
+
+    def on_entered(self, take: Any) -> None:
+        self.entered.append(take)
 
     @property
     def as_of_s(self) -> float:
@@ -207,6 +214,33 @@ def test_a_number_that_is_none_is_refused_with_its_name_and_limit(mount: Mount, 
     until(lambda: bool(page.told))
     assert page.told[0][1].startswith("λc, µm is -3: it must be over 0")
     assert put == []
+
+
+def test_half_a_number_is_not_judged(mount: Mount, page: Page):
+    put: list[Any] = []
+    mount.show([NumberOrEmpty("Limit, ± µm", None, put.append, "", over=0.0)])
+    (limit,) = widgets(mount)
+    for text in ("0", "0.", "0.5"):
+        set_by_a_person(limit, text)
+    mount.show([NumberOrEmpty("Limit, ± µm", None, put.append, "", over=0.0)])
+    assert limit.value == "0.5"
+    for take in page.entered:  # as Enter and Tab do
+        take()
+    assert (put, page.told) == ([0.5], [])
+    for take in page.entered:
+        take()
+    assert put == [0.5]
+
+
+def test_a_box_holds_one_fault_until_a_value_is_accepted(mount: Mount, page: Page):
+    put: list[Any] = []
+    mount.show([NumberOrEmpty("Limit, ± µm", None, put.append, "", over=0.0, failed="Not changed")])
+    for text in ("-3", "0", "2"):
+        set_by_a_person(widgets(mount)[0], text)
+        for take in page.entered:
+            take()
+        assert len(page.told) == (text != "2")
+    assert put == [2.0]
 
 
 def test_a_choice_may_get_other_options(mount: Mount):

@@ -12,11 +12,14 @@ from typing import Any, Literal
 
 from markupsafe import Markup
 
-from wafer_viewer.gui.widgets.callbacks import COMMIT_S
 from wafer_viewer.model.roles import Action
 
 ButtonStyle = Literal["plain", "outlined", "leading"]
 """As in a row of its own; a secondary action; the primary action, always visible at the foot of the panel."""
+
+
+PAUSE_S = 0.8
+"""Rest in typing after which a number is taken, unless Enter or Tab comes first: half a number is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +130,7 @@ class NumberPair(Input):
     step: float = 0.1
     decimals: int | None = None
     least: float | None = None
+    pause_s: float | None = PAUSE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,11 +144,10 @@ class Slider(Input):
 
 @dataclass(frozen=True, slots=True)
 class NumberOrEmpty(Input):
-    """A number over `over`, or None while the field is empty; whole: without decimals."""
+    """A number over `over`, or None while the field is empty."""
 
     over: float | None = None
-    whole: bool = False
-    pause_s: float | None = COMMIT_S
+    pause_s: float | None = PAUSE_S
 
 
 @dataclass(frozen=True, slots=True)

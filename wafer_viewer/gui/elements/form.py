@@ -89,7 +89,7 @@ class _JustDrawn:
     """A page whose shown state is never older than an input: a dialog draws itself."""
 
     def __init__(self, page: Page) -> None:
-        self.tell, self.say = page.tell, page.say
+        self.tell, self.say, self.settle, self.on_entered = page.tell, page.say, page.settle, page.on_entered
 
     @property
     def as_of_s(self) -> float:

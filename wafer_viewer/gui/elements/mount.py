@@ -219,10 +219,13 @@ class InputWidget:
         handle = _ADD[type(element)](gui, element, placed.order)
         if element.commands:
             controlled(handle, element.action)
+        self._page, self._failed = page, placed.failed
+        self._edits: Debouncer | None = None
         heard = self._put
         if element.pause_s is not None:
-            edits = Debouncer(self._put, guarded(page, placed.failed), element.pause_s)
-            heard = edits.made
+            self._edits = Debouncer(self._put, guarded(page, placed.failed), element.pause_s)
+            page.on_entered(self._edits.hurry)
+            heard = self._edits.made
         self._input: BoundInput[Any] = BoundInput(handle, lambda _: heard(), page, placed.failed)
 
     def show(self, element: el.Input) -> None:
@@ -230,7 +233,8 @@ class InputWidget:
         self._element = element
         for name, value in _props(element).items():
             set_prop(self._input.handle, name, value)
-        self._input.show(_shown(element))
+        if self._edits is None or not self._edits.under_way:
+            self._input.show(_shown(element))
         self._input.enable(not element.disabled)
         set_prop(self._input.handle, "visible", True)
 
@@ -240,8 +244,9 @@ class InputWidget:
 
     def _put(self) -> Any:
         element, value = self._element, self._input.value
+        self._page.settle(self._failed)
         if isinstance(element, el.NumberOrEmpty):
-            value = number_of(value, element.label, over=element.over, integer=element.whole)
+            value = number_of(value, element.label, over=element.over)
         return element.put(value)
 
 

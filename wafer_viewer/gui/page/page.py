@@ -73,7 +73,8 @@ class Page:
         self._at_close: list[Callable[[], None]] = []
         self.answers = Ask(self)
         self._parts: Sequence[PagePart] = ()
-        self._picks: dict[str, Callable[[Any], Any]] = {}
+        self._entered: list[Callable[[], None]] = []
+        self._picks: dict[str, Callable[[Any], Any]] = {"entered": lambda _: [take() for take in self._entered]}
         self._last_pick = 0
         self._notifications: dict[str, viser.NotificationHandle | None] = {
             fault.id: None for fault in session.snapshot.faults if not fault.needs_person
@@ -169,6 +170,10 @@ class Page:
         """Register a callback for clicks on elements of `html.pick(what, key)`; it gets the key."""
         self._picks[what] = callback
 
+    def on_entered(self, take: Callable[[], None]) -> None:
+        """Register a callback for Enter and for leaving a field, which end a pause in typing."""
+        self._entered.append(take)
+
     def add_picks(self) -> None:
         """Add the hidden text field through which HTML elements report clicks."""
         add_html(self.gui, Markup('<div class="wv-picks"></div>'))
@@ -203,6 +208,11 @@ class Page:
             self._note_down(tuple(n for n in self.notices if n.id != fault_id))
         else:
             self.ask("The note was not changed", self.session.dismiss(fault_id))
+
+    def settle(self, title: str) -> None:
+        """Remove the notes of this page with a title, because what failed has been tried again."""
+        if any(note.title == title for note in self.notices):
+            self._note_down(tuple(note for note in self.notices if note.title != title))
 
     def notes(self, snapshot: Snapshot) -> Markup:
         """Return all open notes as HTML, the newest first."""

@@ -45,6 +45,18 @@ on('keydown', 'pick', (event, at) => {
   window.wvClick(at);
 });
 
+/* Enter and leaving a field end a pause in typing; later than the value, which viser sends once in 50 ms. */
+let typedIn;
+const entered = at => {
+  if (at !== typedIn) return;
+  typedIn = undefined;
+  setTimeout(window.wvReport, 70, 'entered');
+};
+const TYPED = ':is(.mantine-NumberInput-input, .mantine-TextInput-input):not([aria-hidden=true])';
+document.addEventListener('input', event => { if (event.target.matches(TYPED)) typedIn = event.target; }, true);
+document.addEventListener('focusout', event => entered(event.target), true);
+document.addEventListener('keydown', event => { if (event.key === 'Enter') entered(event.target); }, true);
+
 /* Range inputs, while they move and when they are let go. */
 const moved = at => `${at.name}:${at.value}:${at.dataset.by || 'key'}:`;
 const SLIDES = {

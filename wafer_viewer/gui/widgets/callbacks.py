@@ -139,7 +139,14 @@ class Debouncer:
         self._timer.daemon = True
         self._timer.start()
 
+    def hurry(self) -> None:
+        """Submit the form now if it waits for a pause in typing."""
+        if self._timer is not None and self._timer.is_alive():
+            self._timer.cancel()
+            self._hand_over()
+
     def _hand_over_now(self) -> None:
+        self._timer = None
         handed = self._made
         answer: Future[Any] | None = None
         try:

@@ -134,6 +134,14 @@ class Drawn(ErrorSink, Protocol):
         """Time of the drawn state, by the monotonic clock."""
         ...
 
+    def on_entered(self, take: Callable[[], None]) -> None:
+        """Register a callback for Enter and for leaving a field."""
+        ...
+
+    def settle(self, title: str) -> None:
+        """Remove the notes of this page with a title."""
+        ...
+
 
 class BoundInput(Generic[T]):
     """A form widget: `show` sets the session's value, `on_change` receives user input.

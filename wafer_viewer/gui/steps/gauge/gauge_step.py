@@ -13,7 +13,8 @@ from typing import Any, Literal
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, NumberOrEmpty, Stack
+from wafer_viewer.gui.elements.elements import PAUSE_S, Button, Buttons, Elements, Html, Stack
+from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.measure.live_measurement import live_measurement
 from wafer_viewer.gui.page.page import Page
@@ -50,13 +51,6 @@ NOT_FOUND, NOT_MEASURED, NOT_DROPPED = (
 NO_SURFACE = "No surface of the blocks yet.", "Wring them and scan them, or open their dataset."
 DRAG = "Drag the regions onto the two faces, then measure."
 STUDY = "Share of the variation that comes from the gauge, by AIAG."
-_TERMS: tuple[tuple[str, str, str, float | None], ...] = (
-    ("limit_um", "Limit, ± µm", "Largest error allowed, on either side; empty: no verdict", 0),
-    ("temperature_c", "Blocks, °C", "Temperature of the blocks; empty: not measured", None),
-    ("tolerance_um", "Tolerance, µm", "Upper limit less lower limit of the product; empty: none", 0),
-    ("interval_days", "Next in, days", "The next check is due after so many days", 0),
-)
-"""Field, label, hint and exclusive lower limit of each term; quantities that need an empty one are not evaluated."""
 Surface = tuple[Path, int, int]
 """Dataset path, displayed field (0 for the stitched surface) and stamp of the surface."""
 Lead = Literal["certificate", "measure", "sign", "new"]
@@ -302,19 +296,13 @@ def _state(here: Here[CheckInputs], problem: str) -> Markup:
 def _terms(here: Here[CheckInputs]) -> Elements:
     page, terms = here.page, here.snapshot.gauge.terms
 
-    def put(field: str, value: float | None) -> Future[Any]:
-        now = page.session.snapshot.gauge.terms
-        if field == "interval_days":
-            value = now.interval_days if value is None else int(value)
-        done = page.session.gauge.set_terms(spec.replace(now, **{field: value}))
-        page.ask(TERMS_FAILED, done)
-        return done
+    def put(field: str, value: Any) -> Future[Any]:
+        changed = page.session.gauge.set_terms(spec.replace(page.session.snapshot.gauge.terms, **{field: value}))
+        page.ask(TERMS_FAILED, changed)
+        return changed
 
-    def field(name: str, label: str, hint: str, over: float | None) -> NumberOrEmpty:
-        value, whole = getattr(terms, name), name == "interval_days"
-        return NumberOrEmpty(label, value, partial(put, name), hint, over=over, whole=whole, commands=True)
-
-    return [Html(html.head("Terms")), *(field(*term) for term in _TERMS)]
+    fields = "limit_um", "temperature_c", "tolerance_um", "interval_days"
+    return [Html(html.head("Terms")), *form(terms, put, *fields, commands=True, pause_s=PAUSE_S)]
 
 
 def _sums(snapshot: Snapshot, view: View, check: GaugeCheck | None, step: StepHeight | None, *, own: bool) -> Markup:
