@@ -89,7 +89,8 @@ class _JustDrawn:
     """A page whose shown state is never older than an input: a dialog draws itself."""
 
     def __init__(self, page: Page) -> None:
-        self.tell, self.say, self.settle, self.on_entered = page.tell, page.say, page.settle, page.on_entered
+        self.tell, self.say, self.settle = page.tell, page.say, page.settle
+        self.on_entered, self.entered = page.on_entered, page.entered
 
     @property
     def as_of_s(self) -> float:

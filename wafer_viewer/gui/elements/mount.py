@@ -145,7 +145,8 @@ class ButtonWidget:
         self._element: el.Button = placed.element
         element, order = self._element, placed.order
         self.handle = handle = gui.add_button(element.label, icon=element.icon, disabled=element.disabled, order=order)
-        handle.on_click(guarded(page, placed.failed)(lambda _: self._element.act()))
+        handle.on_click(guarded(page, placed.failed)(self._act))
+        self._page = page
         if element.commands:
             controlled(handle, element.action)
         if element.style == "outlined":
@@ -159,6 +160,10 @@ class ButtonWidget:
         set_prop(self.handle, "label", element.label)
         set_prop(self.handle, "disabled", element.disabled)
         set_prop(self.handle, "visible", True)
+
+    def _act(self, _: Any) -> Any:
+        self._page.entered()
+        return self._element.act()
 
     def hide(self) -> None:
         """Hide the button."""
@@ -251,7 +256,10 @@ class InputWidget:
 
 
 def _shown(element: el.Input) -> Any:
-    """Return the value of an element as its widget has it."""
+    """Return the value of an element as its widget has it; that of a slider lies between its ends."""
+    if isinstance(element, el.Slider):
+        low, high = element.least, element.most
+        return element.value if isinstance(element.value, tuple) else min(max(element.value, low), high)
     return text_of(element.value) if isinstance(element, el.NumberOrEmpty) else element.value
 
 
@@ -274,7 +282,7 @@ def _slider(gui: viser.GuiApi, element: el.Slider, order: float) -> Any:
     if isinstance(e.value, tuple):
         value: Any = e.value
         return gui.add_multi_slider(e.label, *ends, value, marks=(), hint=e.hint, order=order)
-    return gui.add_slider(e.label, *ends, e.value, hint=e.hint, order=order)
+    return gui.add_slider(e.label, *ends, _shown(e), hint=e.hint, order=order)
 
 
 def _number(gui: viser.GuiApi, element: Any, order: float) -> Any:

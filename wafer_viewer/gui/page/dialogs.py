@@ -184,6 +184,7 @@ class Dialog:
             self._on_close()
 
     def _do(self, act: Callable[[], None], problem: HtmlBlock) -> None:
+        self.page.entered()
         try:
             act()
         except KeepOpen:

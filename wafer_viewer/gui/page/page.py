@@ -73,8 +73,8 @@ class Page:
         self._at_close: list[Callable[[], None]] = []
         self.answers = Ask(self)
         self._parts: Sequence[PagePart] = ()
-        self._entered: list[Callable[[], None]] = []
-        self._picks: dict[str, Callable[[Any], Any]] = {"entered": lambda _: [take() for take in self._entered]}
+        self._to_enter: list[Callable[[], None]] = []
+        self._picks: dict[str, Callable[[Any], Any]] = {"entered": lambda _: self.entered()}
         self._last_pick = 0
         self._notifications: dict[str, viser.NotificationHandle | None] = {
             fault.id: None for fault in session.snapshot.faults if not fault.needs_person
@@ -171,8 +171,13 @@ class Page:
         self._picks[what] = callback
 
     def on_entered(self, take: Callable[[], None]) -> None:
-        """Register a callback for Enter and for leaving a field, which end a pause in typing."""
-        self._entered.append(take)
+        """Register a callback that takes what is typed before a pause in typing."""
+        self._to_enter.append(take)
+
+    def entered(self) -> None:
+        """Take what is typed: after Enter, on leaving a field, before a button acts."""
+        for take in self._to_enter:
+            take()
 
     def add_picks(self) -> None:
         """Add the hidden text field through which HTML elements report clicks."""

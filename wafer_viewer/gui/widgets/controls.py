@@ -135,7 +135,11 @@ class Drawn(ErrorSink, Protocol):
         ...
 
     def on_entered(self, take: Callable[[], None]) -> None:
-        """Register a callback for Enter and for leaving a field."""
+        """Register a callback that takes what is typed before a pause in typing."""
+        ...
+
+    def entered(self) -> None:
+        """Take what is typed."""
         ...
 
     def settle(self, title: str) -> None:

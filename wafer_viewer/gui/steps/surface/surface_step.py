@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import viser
 from markupsafe import Markup
@@ -159,6 +160,9 @@ def _colour(here: Here[SurfaceState]) -> Elements:
     def quantity(name: str) -> None:
         page.change(colour_by=COLOUR_BY[name], range_um=None)
 
+    def colour(name: str) -> None:
+        page.change(colours=maps[name])
+
     quantities = tuple(name for name, key in COLOUR_BY.items() if key not in page.unavailable)
     fixed = not in_colours or by in OWN_COLOURS
     usual = Button("0.5 – 99.5 %", lambda: page.change(range_um=None), icon.CHART_HISTOGRAM)
@@ -166,14 +170,7 @@ def _colour(here: Here[SurfaceState]) -> Elements:
     return [
         Html(html.head("Colour")),
         Dropdown("Colour by", TITLES_OF_COLOUR_BY[by], quantity, COLOUR_HINT, options=quantities),
-        Dropdown(
-            "Colours",
-            COLOUR_MAPS[view.colours],
-            lambda name: page.change(colours=maps[name]),
-            MAP_HINT,
-            disabled=fixed,
-            options=tuple(maps),
-        ),
+        Dropdown("Colours", COLOUR_MAPS[view.colours], colour, MAP_HINT, disabled=fixed, options=tuple(maps)),
         Slider("Range", thumbs, cover, RANGE_HINT, disabled=off, least=least, most=most, step=step),
         NumberPair("From, to", ends, cover, ENDS_HINT, disabled=off, step=step, decimals=decimals),
         Buttons([usual, whole]),
@@ -197,16 +194,8 @@ def _full_range(page: Page, view: View) -> tuple[float, float] | None:
 def _light(page: Page, view: View) -> Elements:
     height, shade = view.exaggeration, round(100 * view.hillshade, 3)
     focus, flat = round(100 * view.all_in_focus, 3), view.look == "plan"
-
-    def exaggerate(times: float) -> None:
-        page.change(exaggeration=times)
-
-    def light(percent: float) -> None:
-        page.change(hillshade=percent / 100)
-
-    def blend(percent: float) -> None:
-        page.change(all_in_focus=percent / 100)
-
+    exaggerate, light = _sets(page, "exaggeration"), _sets(page, "hillshade", 100)
+    blend = _sets(page, "all_in_focus", 100)
     return [
         Html(html.head("Light and depth")),
         Slider("Height, ×", height, exaggerate, HEIGHT_HINT, disabled=flat, least=1, most=20, step=0.5),
@@ -221,11 +210,8 @@ def _pictures(page: Page, data: OpenDataset | None, view: View) -> Elements:
     frame_k, z_um = (view.frame_k, None) if single else (None, view.slice_z_um)
     on = frame_k is not None or z_um is not None
 
-    def choose_frame(number: int) -> None:
+    def choose_frame(number: float) -> None:
         page.change(frame_k=int(number) - 1)
-
-    def choose_z(z_um: float) -> None:
-        page.change(slice_z_um=z_um)
 
     slider = None
     if plan is not None and frame_k is not None:
@@ -233,9 +219,8 @@ def _pictures(page: Page, data: OpenDataset | None, view: View) -> Elements:
         slider = Slider("Frame", frame_k + 1, choose_frame, FRAME_HINT, least=1, most=most, step=1)
     elif plan is not None and z_um is not None:
         low, high = _z_range(plan)
-        slider = Slider(
-            "z, µm", z_um, choose_z, "Stage z of the frames, µm", least=low, most=high, step=plan.sweep.z_step_um
-        )
+        step, choose = plan.sweep.z_step_um, _sets(page, "slice_z_um")
+        slider = Slider("z, µm", z_um, choose, "Stage z of the frames, µm", least=low, most=high, step=step)
 
     def switch(wanted: bool) -> None:
         if not wanted or plan is None:
@@ -253,6 +238,11 @@ def _pictures(page: Page, data: OpenDataset | None, view: View) -> Elements:
         Checkbox(label, on, switch, hint, disabled=plan is None or view.show < 0, key=label),
         Stack([slider], key=slider.label) if slider is not None else None,
     ]
+
+
+def _sets(page: Page, name: str, per: float = 1) -> Callable[[Any], None]:
+    """Return a callback that changes a setting of the view; per: number of the input's units in one of the view's."""
+    return lambda value: page.change(**{name: value if per == 1 else value / per})
 
 
 def _z_range(plan: ScanPlan) -> tuple[float, float]:
@@ -332,15 +322,10 @@ def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, statistics: Sta
     if statistics.mean_um is not None:
         rows.append(("Mean", with_unit(statistics.mean_um, 2, signed=True)))
         rows.append(("Spread (1 σ)", with_unit(statistics.spread_um, 2)))
-    if statistics.counts and statistics.n_points != statistics.n_heights:
-        rows.append(
-            (
-                "Points drawn",
-                f"{share(statistics.n_points / max(1, statistics.n_heights))} of {number(statistics.n_heights, 0)}",
-            )
-        )
-    elif statistics.counts:
-        rows.append(("Points", number(statistics.n_heights, 0)))
+    if statistics.counts:
+        n_all, n_drawn = statistics.n_heights, statistics.n_points
+        part = f"{share(n_drawn / max(1, n_all))} of " if n_drawn != n_all else ""
+        rows.append(("Points drawn" if part else "Points", f"{part}{number(n_all, 0)}"))
     rows += [
         ("Not measured", share(1 - statistics.measured_fraction - statistics.filled_fraction)),
         *((f"– {words}", share(part)) for words, part in statistics.unmeasured if part > 0),
