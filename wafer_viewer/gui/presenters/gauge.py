@@ -251,11 +251,7 @@ def capability(result: Capability | None) -> Markup:
         word = "" if result.capable is None else " · capable" if result.capable else " · not capable"
         pairs.append(("Cg · Cgk", f"{number(result.cg, 2)} · {number(result.cgk, 2)}{word}"))
     words = " ".join(part for part in (result.why, result.variant) if part)
-    below = (
-        Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(words))
-        if words
-        else Markup()
-    )
+    below = html.remark(html.with_micro_sign(words))
     return html.head("Capability", "both 1.33 or more, over 25 scans") + html.pairs(pairs) + below
 
 

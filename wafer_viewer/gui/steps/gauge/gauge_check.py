@@ -109,22 +109,14 @@ def below(chart: RunChart | None, serials: str, chosen: str) -> Markup:
 def _chart_head(chart: RunChart, serials: str) -> Markup:
     n = len(chart.points)
     counted = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
-    spread = (
-        Markup("<span>s <b>{}{}µm</b></span>").format(number(chart.s_um, 3), THIN)
-        if chart.s_um is not None
-        else Markup()
-    )
-    mean = (
-        Markup("<span>mean <b>{}{}µm</b></span>").format(number(chart.mean_um, 3, signed=True), THIN)
-        if n > 1
-        else Markup()
-    )
     caption = f"{counted} of {serials}"
-    limit = (
-        Markup('<span class="wv-hint">limit ± {}{}µm · </span>').format(number(chart.limit_um, 2), THIN)
-        if chart.limit_um is not None
-        else Markup()
-    )
+    mean, spread, limit = Markup(), Markup(), Markup()
+    if n > 1:
+        mean = Markup("<span>mean <b>{}{}µm</b></span>").format(number(chart.mean_um, 3, signed=True), THIN)
+    if chart.s_um is not None:
+        spread = Markup("<span>s <b>{}{}µm</b></span>").format(number(chart.s_um, 3), THIN)
+    if chart.limit_um is not None:
+        limit = Markup('<span class="wv-hint">limit ± {}{}µm · </span>').format(number(chart.limit_um, 2), THIN)
     return Markup(
         '<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{caption}">{caption}</span>'
         '{mean}{spread}<span class="wv-end">{limit}{drift}</span></div>'

@@ -269,13 +269,9 @@ def running(snapshot: Snapshot) -> Markup:
     if now is None:
         return Markup()
     work = next((work for work in snapshot.works if work.title == now.title), None)
-    cancel = (
-        Markup('<span class="wv-link" {}>Cancel</span>').format(html.command_pick("cancel", work.id))
-        if work is not None and work.cancellable
-        else Markup("<span>stopping</span>")
-        if work is not None and work.stopping
-        else Markup()
-    )
+    cancel = Markup("<span>stopping</span>") if work is not None and work.stopping else Markup()
+    if work is not None and work.cancellable:
+        cancel = html.command_link("Cancel", "cancel", work.id)
     return Markup(
         '{head}<div class="wv-calibrating" role="status">'
         '<div class="wv-big" style="font-size:30px">{share}</div><div>{words}</div>{bar}'

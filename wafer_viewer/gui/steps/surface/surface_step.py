@@ -337,12 +337,7 @@ def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, statistics: Sta
         f"Heights are means of {statistics.block_px} × {statistics.block_px} points." if statistics.block_px > 1 else ""
     )
     problem = data.calibration_problem if data else None
-    why = (
-        Markup('<div class="wv-lab" style="margin-top:5px">uncalibrated: {}</div>').format(problem)
-        if problem
-        else Markup()
-    )
-    return html.pairs(rows) + html.remark(blocks) + why
+    return html.pairs(rows) + html.remark(blocks) + html.remark(f"uncalibrated: {problem}" if problem else "")
 
 
 def _slider_step(low: float, high: float) -> float:
