@@ -311,8 +311,10 @@ _LEAD_PX = 58
 
 def at_foot_style(handle: Any) -> Markup:
     """Return the styles that keep a button visible above the leading button while the panel scrolls."""
-    selector, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{_LEAD_PX}px;z-index:3;padding-top:6px"
-    return html.style_sheet(f"div:has(>{selector}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}")
+    row = f"div:has(>{by_id(handle._impl.uuid)})"
+    sticks = f"position:sticky;bottom:{_LEAD_PX}px;z-index:4;padding-top:6px;background:var(--panel)"
+    fade = f"{row}::before{{content:'';pointer-events:none;{_FADE}}}"
+    return html.style_sheet(f"{row}{{{sticks};box-shadow:6px 0 0 var(--panel)}}{fade}")
 
 
 def duo(gui: Gui) -> None:
