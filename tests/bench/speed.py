@@ -28,7 +28,7 @@ from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
 from tests.support.installation import run, sharpest_in_the_middle
 from tests.support.paths import ROOT
 from wafer_viewer.compute.dask_cluster import SETTINGS
-from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
@@ -48,6 +48,7 @@ ROWS, COLS, PIXEL_UM, WINDOW = 1080, 1440, 0.46729, 9
 PLAIN_FRAMES = 4
 DEFAULT_GOAL_MS, CLEANING_GOAL_S, MEMORY_GOAL_MB, THREADS_GOAL = 8.0, 0.5, 600.0, 1.7
 FIRST_GOAL_S = 3.0
+COPIES_GOAL = 40.0
 LIVE_FRAMES, LIVE_GOAL_S = 3, 0.3
 
 
@@ -154,16 +155,32 @@ def show_field(stack: FieldStack, runs: int) -> None:
     height = reconstruct(stack, settled.recipe, threads=1)
     cleaning = least(lambda: clean(height.z_raw_um, PIXEL_UM, settled.recipe, settled.resolution_um), runs)[1]
     whole = least(lambda: reconstruct(stack, settled.recipe, threads=1), 2)[1]
+    default, copy = in_turn(lambda: reconstruct(stack, threads=1), copy_of(stack.images), runs)
     two = least(lambda: reconstruct(stack, settled.recipe, threads=2), 2)[0]
     a_frame = 1e3 / stack.n_frames
     rows = [
         ("settling what is auto, s a field", settling, ""),
         ("cleaning, s a field", cleaning, f"{CLEANING_GOAL_S:g} {met(cleaning, CLEANING_GOAL_S)}"),
+        ("all, 1 thread, in copies of the stack in memory", default / copy,
+         f"{COPIES_GOAL:g} {met(default / copy, COPIES_GOAL)}"),
         ("all, settled recipe, 1 thread, ms a frame", whole * a_frame,
          f"{DEFAULT_GOAL_MS:g} {met(whole * a_frame, DEFAULT_GOAL_MS)}"),
         ("all, settled recipe, 2 threads, ms a frame", two * a_frame, ""),
     ]  # fmt: skip
     show(f"The default recipe on a field of {stack.n_frames} frames", ("", "measured", "goal"), rows)
+
+
+def in_turn(work: Callable[[], object], other: Callable[[], object], runs: int) -> tuple[float, float]:
+    """Least processor time of each of two works, in turn, so that a busy machine slows down both."""
+    pairs = [(least(work, 1)[1], least(other, 3)[1]) for _ in range(runs)]
+    return min(one for one, _ in pairs), min(two for _, two in pairs)
+
+
+def copy_of(images: Image) -> Callable[[], object]:
+    """Copy a stack from memory to memory, both of them touched before."""
+    here = np.array(images)
+    there = np.zeros_like(here)
+    return lambda: np.copyto(there, here)
 
 
 def show_live(file: Path) -> None:
