@@ -133,7 +133,6 @@ WORDS = {
     "area_volume": "reference",
     "chipping": "die",
     "circle_size": "inside",
-    "compare": "align",
     "coplanarity": "reference",
     "die_size": "die",
     "find_dies": "evidence",

@@ -110,7 +110,13 @@ def test_texture_and_roughness_through_filters(measured):
     face = ["--region", -70, -70, -30, -30]
     found = measured("texture", *face, "--form-order", 3, "--s-filter-um", 2, "--l-filter-um", 20)
     assert found["filter"] == "Gaussian (ISO 16610-61), S 2 um, L 20 um"
-    assert found["options"] == {"form_order": 3, "s_filter_um": 2.0, "l_filter_um": 20.0, "noise_um": None}
+    assert found["options"] == {
+        "form_order": 3,
+        "s_filter_um": 2.0,
+        "l_filter_um": 20.0,
+        "noise_um": None,
+        "slopes": "neighbours",
+    }
     assert found["sq"]["value_um"] < 0.015, "noise of single pixels is taken off"
     line = measured("roughness", "--line", -70, -50, -30, -50, "--lambda-c-um", 10, "--lambda-s-um", 2)
     assert (line["sections"], line["section_um"]) == (4, 10.0)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer._version import __version__
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace, require_choice
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import ALIGN_TITLES, FOUND_BY, Align, Change, Heights, Registration
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, RejectionReason
 from wafer_viewer.model.surface.height_map import (
@@ -367,7 +367,6 @@ def compare(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool =
     .. [1] Y. Chen, G. Medioni, Object modelling by registration of multiple range images, Image Vis. Comput. 10 (1992)
        145.
     """
-    require_choice("align", align, Align, MeasureError)
     if align not in ALIGN_TITLES:
         raise MeasureError(f"align is {align!r}: it must be one of {', '.join(ALIGN_TITLES)}.")
     one = as_pyramid(first)
