@@ -70,7 +70,7 @@ def test_details_unfold_to_what_the_stage_alone_knows(serve: Serve, stitched: St
     page = serve(stitched)
     go_to(page, "Surface")
     expect(panel(page)).not_to_contain_text("Known only from the stage")
-    page.locator("[data-pick=stitching]").click()
+    page.locator("[data-pick=recipe][data-k=stitching]").click()
     expect(panel(page)).to_contain_text("Known only from the stage")
     expect(panel(page)).to_contain_text("Bow±\u202f0.82\u202fµm")
 
