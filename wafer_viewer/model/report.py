@@ -54,6 +54,8 @@ class Holds:
     nothing: bool = False
 
 
+PAGE, PRINTED = ".html", ".pdf"
+"""Endings of the files that a report may be written to."""
 Contents = dict[Part, Holds]
 Pairs = tuple[tuple[str, str], ...]
 

@@ -113,7 +113,7 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     width = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
     recipe = replace(recipe, focus_width_um=width.um)
-    tiles = TilePeaks(frames)
+    tiles = SearchedTiles(frames)
     recipe = replace(recipe, window=best_window(tiles, recipe) if recipe.window == "auto" else recipe.window)
     search = search_of(recipe, n_frames, frames.step_um, frames.scale)
     resolution_um = max(1.0, width.um / frames.step_um / SUITABLE_WIDTH) * frames.step_um
@@ -127,7 +127,7 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     return TunedRecipe(recipe, search, gate, edges, resolution_um, notes)
 
 
-class TilePeaks:
+class SearchedTiles:
     """Peaks of a few tiles of a field by the parameters of the search, each searched once."""
 
     def __init__(self, frames: Frames) -> None:
@@ -168,7 +168,7 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
 
 
-def best_window(tiles: TilePeaks, recipe: Recipe) -> int:
+def best_window(tiles: SearchedTiles, recipe: Recipe) -> int:
     """Return the smallest window with nearly the coverage of the largest, for a recipe with a settled focus width."""
 
     def coverage(window: int) -> float:
@@ -200,7 +200,7 @@ def _gap_share(recipe: Recipe, search: Search, step_um: float) -> float:
     return search.gap * step_um / (GAP_WIDTHS * float(recipe.focus_width_um))
 
 
-def _coverage(tiles: TilePeaks, recipe: Recipe) -> float:
+def _coverage(tiles: SearchedTiles, recipe: Recipe) -> float:
     """Return the fraction of pixels that pass the gate, ignoring clipping."""
     frames = tiles.frames
     search = search_of(recipe, frames.n_frames, frames.step_um, frames.scale)

@@ -289,8 +289,9 @@ def clean_heights(field: PreparedField, corrected: CorrectedPeaks) -> CleanedHei
         bleeding_um,
         corrected.found_along,
     )
-    removed = found.outlier * np.uint8(Origin.OUTLIER) + found.step_edge * np.uint8(Origin.STEP_EDGE)
-    origin = origin + removed  # of measured pixels, whose code is 0
+    origin = origin.copy()
+    np.copyto(origin, np.uint8(Origin.OUTLIER), where=found.outlier)
+    np.copyto(origin, np.uint8(Origin.STEP_EDGE), where=found.step_edge)
     refused = _refused_heights(corrected, origin)
     return CleanedHeights(found.z_um, found.raw_um, mark_filled(origin, found.z_um), refused)
 

@@ -14,7 +14,7 @@ from tests.browser.sessions.fake_defect_files import a_shelf
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found, inspected_session
 from tests.gui.steps.test_steps import flat
 from wafer_viewer.gui.defects.inspection_form import (
-    InspectionState,
+    InspectionDraft,
     advanced_settings_header,
     expectation,
     golden_table,
@@ -175,7 +175,7 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     assert "Within the limits" in verdict(replace(INSPECTION, dies=scanned, recipe=DefectRecipe(limits=loose)))
 
 
-def here_of(**state: Any) -> Here[InspectionState]:
+def here_of(**state: Any) -> Here[InspectionDraft]:
     session = inspected_session()
     snapshot = dataclasses.replace(
         session.snapshot, inspection=dataclasses.replace(session.snapshot.inspection, **state)
@@ -187,10 +187,10 @@ def here_of(**state: Any) -> Here[InspectionState]:
     )
     page: Any = SimpleNamespace(session=SimpleNamespace(snapshot=snapshot, defects=defects), view=View(step="review"))
     page.answers, page.asked, page.redraw, page.ask = None, asked, lambda: None, lambda *_: None
-    return Here(page, InspectionState(unfolded=True, shows_more=True))
+    return Here(page, InspectionDraft(unfolded=True, shows_more=True))
 
 
-def inputs(here: Here[InspectionState]) -> dict[str, Any]:
+def inputs(here: Here[InspectionDraft]) -> dict[str, Any]:
     return {one.label: one for one in flat(inspection_form(here)) if isinstance(one, Input | Button)}
 
 

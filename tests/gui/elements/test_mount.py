@@ -29,6 +29,7 @@ from wafer_viewer.gui.elements.elements import (
     Toggle,
 )
 from wafer_viewer.gui.elements.mount import Mount
+from wafer_viewer.gui.widgets.callbacks import Debouncer
 from wafer_viewer.model.errors import WaferViewerError
 
 
@@ -37,17 +38,17 @@ class Page:
     """A page that notes what it is told; what was read before an input is older than it."""
 
     told: list[Any] = field(default_factory=list)
-    takes: list[Any] = field(default_factory=list)
+    typed: list[Debouncer] = field(default_factory=list)
 
     def settle(self, title: str) -> None:
         self.told = [note for note in self.told if note[0] != title]
 
-    def on_entered(self, take: Any) -> None:
-        self.takes.append(take)
+    def on_entered(self, edits: Debouncer) -> None:
+        self.typed.append(edits)
 
     def entered(self) -> None:
-        for take in self.takes:
-            take()
+        for edits in self.typed:
+            edits.hurry()
 
     @property
     def as_of_s(self) -> float:

@@ -107,6 +107,10 @@ def test_reports_are_served_to_who_may_open_the_page_and_no_other_file_is(server
         policy = answer.getheader("Content-Security-Policy", "")
         assert policy.startswith("default-src 'none';")
         assert "script" not in policy
+        assert answer.getheader("Content-Type") == "text/html; charset=utf-8"
+        (tmp_path / "W7-report-2.pdf").write_bytes(b"%PDF-1.4")
+        printed = get(server, "/reports/W7-report-2.pdf", Cookie=cookie(server))
+        assert (printed.status, printed.getheader("Content-Type")) == (200, "application/pdf")
         for name in ("W7.html", "W7-report-2.html", "..%2Fup-report-1.html", "../up-report-1.html", ""):
             assert get(server, f"/reports/{name}", Cookie=cookie(server)).status == 404
     finally:

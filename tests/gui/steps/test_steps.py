@@ -28,7 +28,7 @@ class Papers:
     pictures_kept = 0
 
     def __init__(self) -> None:
-        self.orders, self.writing = list[Any](), Future[Any]()
+        self.orders, self.paths, self.writing = list[Any](), list[Any](), Future[Any]()
 
     def contents(self) -> Future[Any]:
         done = Future[Any]()
@@ -37,6 +37,7 @@ class Papers:
 
     def write_report(self, order: Any, path: Any) -> Future[Any]:
         self.orders.append(order)
+        self.paths.append(path)
         return self.writing
 
 
@@ -108,6 +109,17 @@ def test_sections_that_are_deselected_stay_out_of_the_order(report: Here[ReportC
     write(report)
     (order,) = report.page.session.papers.orders
     assert set(PARTS) - set(order.parts) == {"defects", "recipe"}
+
+
+def test_number_customer_and_kind_of_file_are_those_chosen(report: Here[ReportChoices]):
+    shown = {element.label: element for element in flat(report_step(report)) if isinstance(element, Input)}
+    shown["Number"].put("2026-114")
+    shown["Customer"].put("A Fab")
+    shown["File"].put(".pdf")
+    write(report)
+    (order,), (path,) = report.page.session.papers.orders, report.page.session.papers.paths
+    assert (order.number, order.customer) == ("2026-114", "A Fab")
+    assert path.name == f"{report.snapshot.dataset.path.stem}-report-1.pdf"
 
 
 def test_while_a_report_is_written_no_other_is_begun(report: Here[ReportChoices]):

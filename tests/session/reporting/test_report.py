@@ -26,7 +26,7 @@ from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder,
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.core.dataset_library import save_summary, summarise
-from wafer_viewer.session.reporting import report, sections
+from wafer_viewer.session.reporting import report, report_data, sections
 from wafer_viewer.session.reporting.report import contents, gather, make_report, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
@@ -163,9 +163,17 @@ def test_a_report_has_its_number_customer_laboratory_and_scope(dataset):
     assert "The results relate only to the sample and the places named in this report." in text
     assert "Lab &lt;1&gt;" in text
     style = text[text.index("<style>") : text.index("</style>")]
-    assert '"; } body { x' not in style
+    assert "Report\\20 7\\22 \\3b " in style
+    assert "die\\20 \\26 \\20 street" in style
     unnamed = report_of(dataset, RESULT, ReportOrder(parts=("plan",)))
     assert (unnamed.number, unnamed.letterhead) == ("die & street-20260301", None)
+
+
+def test_a_date_that_cannot_be_read_stands_as_it_is(dataset):
+    material = gather(dataset, RESULT)
+    scan = replace(material.dataset.scan, taken="some day in March")
+    assert report_data.day_words(material.dataset.scan.taken) == "1 March 2026, 10:00"
+    assert report_data.day_words(scan.taken) == "some day in March"
 
 
 def test_every_page_names_the_content_by_its_checksum(dataset):

@@ -19,7 +19,7 @@ from wafer_viewer.gui.defects.defect_dialogs import (
     area_of_defect,
     recipes_dialog,
 )
-from wafer_viewer.gui.defects.inspection_form import PICKS, InspectionState, inspection_form, save
+from wafer_viewer.gui.defects.inspection_form import PICKS, InspectionDraft, inspection_form, save
 from wafer_viewer.gui.elements.step import StepPanel
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defects
@@ -54,7 +54,7 @@ class DefectSection:
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._head = HtmlBlock(page.gui)
-            self._form = StepPanel(page, inspection_form, InspectionState(), "The form was not changed", PICKS)
+            self._form = StepPanel(page, inspection_form, InspectionDraft(), "The form was not changed", PICKS)
             self._errands = HtmlBlock(page.gui)
             self._other = OtherSection(page, lambda box: self._fly(box))
             self._list = HtmlBlock(page.gui)

@@ -229,7 +229,7 @@ class InputWidget:
         heard = self._put
         if element.pause_s is not None:
             self._edits = Debouncer(self._put, guarded(page, placed.failed), element.pause_s)
-            page.on_entered(self._edits.hurry)
+            page.on_entered(self._edits)
             heard = self._edits.made
         self._input: BoundInput[Any] = BoundInput(handle, lambda _: heard(), page, placed.failed)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
+from weakref import WeakSet
 
 import viser
 from markupsafe import Markup
@@ -19,7 +20,7 @@ from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.state import view_state
 from wafer_viewer.gui.state.view_state import BrowserIdentity, ColourBy, Remembered, View
 from wafer_viewer.gui.widgets.ask import Ask
-from wafer_viewer.gui.widgets.callbacks import guarded, tell_failure
+from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
@@ -73,7 +74,9 @@ class Page:
         self._at_close: list[Callable[[], None]] = []
         self.answers = Ask(self)
         self._parts: Sequence[PagePart] = ()
-        self._to_enter: list[Callable[[], None]] = []
+        self._typed: WeakSet[Debouncer] = WeakSet()
+        self._typing = threading.Lock()
+        """Held for the set of what is typed: inputs are added by one thread while another looks through it."""
         self._picks: dict[str, Callable[[Any], Any]] = {"entered": lambda _: self.entered()}
         self._last_pick = 0
         self._notifications: dict[str, viser.NotificationHandle | None] = {
@@ -170,14 +173,17 @@ class Page:
         """Register a callback for clicks on elements of `html.pick(what, key)`; it gets the key."""
         self._picks[what] = callback
 
-    def on_entered(self, take: Callable[[], None]) -> None:
-        """Register a callback that takes what is typed before a pause in typing."""
-        self._to_enter.append(take)
+    def on_entered(self, edits: Debouncer) -> None:
+        """Register what waits for a pause in typing; it is forgotten with its input, such as that of a dialog."""
+        with self._typing:
+            self._typed.add(edits)
 
     def entered(self) -> None:
         """Take what is typed: after Enter, on leaving a field, before a button acts."""
-        for take in self._to_enter:
-            take()
+        with self._typing:
+            typed = tuple(self._typed)
+        for edits in typed:
+            edits.hurry()
 
     def add_picks(self) -> None:
         """Add the hidden text field through which HTML elements report clicks."""

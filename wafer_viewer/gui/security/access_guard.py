@@ -33,6 +33,7 @@ from websockets.http11 import Request, Response
 
 from wafer_viewer.gui.incoming import Refusal
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.report import PRINTED
 from wafer_viewer.session.core.network_access import EVERY_ADDRESS, LOOPBACK, NetworkAccess
 from wafer_viewer.session.core.private_file import WINDOW_S, AttemptLimit, PasswordHash
 
@@ -261,7 +262,8 @@ class AccessGuard:
         body = self.report(path.removeprefix(_REPORTS))
         if body is None:
             return _text(http.HTTPStatus.NOT_FOUND, "There is no such report: write it again from the page.\n")
-        headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))})
+        kind = "application/pdf" if path.endswith(PRINTED) else "text/html; charset=utf-8"
+        headers = Headers({"Content-Type": kind, "Content-Length": str(len(body))})
         headers["Content-Security-Policy"] = _REPORT_POLICY
         return Response(http.HTTPStatus.OK.value, http.HTTPStatus.OK.phrase, headers, body)
 

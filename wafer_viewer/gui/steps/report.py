@@ -11,14 +11,14 @@ from urllib.parse import quote
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Element, Elements, Html, Text
+from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Element, Elements, Html, Text, Toggle
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.report import PART_TITLES, PARTS, Holds, Part, ReportOrder
+from wafer_viewer.model.report import PAGE, PART_TITLES, PARTS, PRINTED, Holds, Part, ReportOrder
 from wafer_viewer.session.files.file_jobs import REPORT, free_path, newest_report
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -27,6 +27,8 @@ UNKNOWN = Holds("…")
 TITLE_HINT = "Heading of the report; without one the dataset's name"
 NUMBER_HINT = "Number on every page; without one the dataset's name and the day of the scan"
 CUSTOMER_HINT = "For whom the report is made; the laboratory's own head is laboratory.toml in the data folder"
+ENDINGS = ((PAGE, "HTML"), (PRINTED, "PDF"))
+FILE_HINT = "HTML for screens and printers; a PDF is printed by the Chromium, Chrome or Edge of the viewer's machine"
 FAILED = "The report was not written"
 _NONE_SELECTED = Markup('<div class="wv-why">Not yet: no section is selected.</div>')
 
@@ -42,6 +44,7 @@ class ReportChoices:
     title: str = ""
     number: str = ""
     customer: str = ""
+    ending: str = PAGE
     left_out: frozenset[Part] = frozenset()
     written: tuple[Path, Path] | None = None
 
@@ -57,11 +60,12 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
     idle = bool(chosen) and not here.ask.busy(WRITING)
     floppy, sheet = viser.Icon.DEVICE_FLOPPY, viser.Icon.FILE_TEXT
     return [
-        Html(html.title("Report", "One HTML file that prints well; a name that ends in .pdf prints it at once.")),
+        Html(html.title("Report", "One file that stands alone, with everything in it.")),
         Html(here.page.notes(here.snapshot)),
         Text("Title", here.own.title, lambda title: here.keep(title=title), TITLE_HINT),
         Text("Number", here.own.number, lambda number: here.keep(number=number), NUMBER_HINT),
         Text("Customer", here.own.customer, lambda customer: here.keep(customer=customer), CUSTOMER_HINT),
+        Toggle("File", here.own.ending, lambda ending: here.keep(ending=ending), FILE_HINT, options=ENDINGS),
         Html(html.head("Contents")),
         *(element for part in PARTS for element in _section(here, part, contents.get(part, UNKNOWN), part in chosen)),
         Buttons([Button("Save report as…", lambda: ask_where(here), floppy, disabled=not idle, failed=FAILED)], 34),
@@ -96,7 +100,7 @@ def ask_where(here: Here[ReportChoices]) -> None:
     """Open the dialog that saves the report."""
     snapshot = here.page.session.snapshot
     if (data := snapshot.dataset) is not None and _why_not(here, snapshot, here.page.view) is None:
-        name = free_path(data.path, REPORT, ".html").name
+        name = free_path(data.path, REPORT, here.own.ending).name
         save_dialog(here.page, "Save the report", name, lambda path: _begin(here, path), "Report saved", FAILED)
 
 
@@ -144,6 +148,8 @@ def _begin(here: Here[ReportChoices], path: Path | None) -> Future[Path]:
 
     own = here.own
     order = ReportOrder(title=own.title, number=own.number, customer=own.customer, parts=chosen_parts(here))
+    if path is None and data is not None:
+        path = free_path(data.path, REPORT, own.ending)
     writing = here.ask.begin(WRITING, here.page.session.papers.write_report(order, path))
     writing.add_done_callback(take)
     return writing

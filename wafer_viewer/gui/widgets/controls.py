@@ -15,7 +15,7 @@ from viser import _assignable_props_api as api
 
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import ErrorSink, guarded
+from wafer_viewer.gui.widgets.callbacks import Debouncer, ErrorSink, guarded
 from wafer_viewer.gui.widgets.style import by_id
 from wafer_viewer.model.roles import Action, role_for
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -134,8 +134,8 @@ class Drawn(ErrorSink, Protocol):
         """Time of the drawn state, by the monotonic clock."""
         ...
 
-    def on_entered(self, take: Callable[[], None]) -> None:
-        """Register a callback that takes what is typed before a pause in typing."""
+    def on_entered(self, edits: Debouncer) -> None:
+        """Register what waits for a pause in typing; it is forgotten with its input."""
         ...
 
     def entered(self) -> None:

@@ -107,13 +107,17 @@ class Bearing:
     smr2: float
 
 
-def bearing(z_um: Floats) -> Bearing:
-    """Return the Sk parameters of heights [n] of equal area.
+def material_ratio_curve(z_um: Floats) -> Floats:
+    """Return heights [n] of equal area from the highest to the lowest: the height over each material ratio."""
+    return np.sort(z_um)[::-1]
+
+
+def bearing(curve: Floats) -> Bearing:
+    """Return the Sk parameters of a material ratio curve.
 
     The core line is the least-squares line through the 40 % of the curve with the flattest secant (the first of equal
     ones); Spk and Svk are the heights of triangles with the area of the curve beyond the core.
     """
-    curve = np.sort(z_um)[::-1]
     slope, top = _line(curve)
     foot = top + slope
     above, below = curve[curve > top], curve[curve < foot]
@@ -149,12 +153,14 @@ EXTREME_FROM, EXTREME_TO = 0.025, 0.5
 """Material ratios of the peak extreme height Sxp (the same)."""
 
 
-def volumes(z_um: Floats) -> dict[str, float]:
-    """Return material and void volumes per area, and Sxp, in um, of heights [n] of equal area."""
+def volumes(curve: Floats) -> dict[str, float]:
+    """Return material and void volumes per area, and Sxp, in um, of a material ratio curve."""
     ratios = (PEAKS_END, VALLEYS_BEGIN, EXTREME_FROM, EXTREME_TO)
-    at_peaks, at_valleys, extreme, middle = np.quantile(z_um, [1 - ratio for ratio in ratios], method="hazen")
-    material = [float(np.mean(np.maximum(z_um - level, 0))) for level in (at_peaks, at_valleys)]
-    void = [float(np.mean(np.maximum(level - z_um, 0))) for level in (at_peaks, at_valleys)]
+    at_peaks, at_valleys, extreme, middle = (_height_at(curve, ratio) for ratio in ratios)
+    levels, mean_um, n = (at_peaks, at_valleys), float(curve.mean()), len(curve)
+    above = (curve[: n - int(np.searchsorted(curve[::-1], level))] for level in levels)
+    material = [float(np.sum(part - level)) / n for part, level in zip(above, levels, strict=True)]
+    void = [volume + level - mean_um for volume, level in zip(material, levels, strict=True)]
     return {
         "vmp": material[0],
         "vmc": material[1] - material[0],
@@ -162,6 +168,14 @@ def volumes(z_um: Floats) -> dict[str, float]:
         "vvv": void[1],
         "sxp": float(extreme - middle),
     }
+
+
+def _height_at(curve: Floats, ratio: float) -> float:
+    """Return the height over a material ratio, between the two points beside it."""
+    place = min(max(ratio * len(curve) - 0.5, 0.0), len(curve) - 1.0)
+    before = int(place)
+    after = min(before + 1, len(curve) - 1)
+    return float(curve[before] + (place - before) * (curve[after] - curve[before]))
 
 
 FORMS = {0: "Form removed: the mean alone.", 1: "Form removed: plane of least squares."}
@@ -332,9 +346,10 @@ def texture(
         *near_noise(surface.provenance, sq_um, "Sq"),
         *_noise_notes(reading, options),
     )
+    curve = material_ratio_curve(left)
     lengths = {
         name: reading.length(value_um, _with_scale(reading, value_um, lines.get(name)))
-        for name, value_um in length_parameters(left).items()
+        for name, value_um in length_parameters(left, curve).items()
     }
     return Texture(
         **{**reading.result_fields(name, area.level, *notes), "filter": filter_names(options)},
@@ -343,7 +358,7 @@ def texture(
         **lengths,
         **_moments(left, sq_um, flat),
         **hybrid_parameters(z_um, area.pixel_um, slopes),
-        smr1_fraction=(found := bearing(left)).smr1,
+        smr1_fraction=(found := bearing(curve)).smr1,
         smr2_fraction=found.smr2,
         **waves,
         points=len(left),
@@ -351,9 +366,12 @@ def texture(
     )
 
 
-def length_parameters(left: Floats) -> dict[str, float]:
-    """Return the height and functional parameters in um of heights [n] with mean 0, by the names of their fields."""
-    core = bearing(left)
+def length_parameters(left: Floats, curve: Floats) -> dict[str, float]:
+    """Return the height and functional parameters in um, by the names of their fields.
+
+    left: heights [n] with mean 0; curve: their material ratio curve.
+    """
+    core = bearing(curve)
     return {
         "sa": float(np.mean(np.abs(left))),
         "sq": float(np.sqrt(np.mean(left**2))),
@@ -363,7 +381,7 @@ def length_parameters(left: Floats) -> dict[str, float]:
         "sk": core.sk_um,
         "spk": core.spk_um,
         "svk": core.svk_um,
-        **volumes(left),
+        **volumes(curve),
     }
 
 
@@ -407,7 +425,8 @@ def _lines(reading: MeasurementContext, z_um: Floats, pixel_um: float, options: 
 
     def evaluate(heights_um: Floats) -> dict[str, float]:
         left = scale_limited(heights_um, pixel_um, options)
-        return length_parameters(left[np.isfinite(left)])
+        known = left[np.isfinite(left)]
+        return length_parameters(known, material_ratio_curve(known))
 
     window_px = _window_px(reading, pixel_um)
     models = (window_covariance(options.noise_um, times * window_px) for times in (1.0, LONGEST_NOISE))

@@ -11,7 +11,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT, bearing
+from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT, bearing, material_ratio_curve
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
@@ -187,7 +187,7 @@ def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
 def _heights(
     reading: MeasurementContext, evaluated: Evaluated, pixel_um: float, left: Floats, rq_um: float, flat: bool
 ) -> dict[str, Any]:
-    parts, core = list(evaluated.split()), bearing(left)
+    parts, core = list(evaluated.split()), bearing(material_ratio_curve(left))
     heights = {"rk": core.sk_um, "rpk": core.spk_um, "rvk": core.svk_um}
     highest, lowest = (float(np.mean([extreme(part) for part in parts])) for extreme in (np.max, np.min))
     return {

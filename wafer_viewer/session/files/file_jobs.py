@@ -316,7 +316,7 @@ class FileJobs:
 
 
 PICTURE, REPORT = "picture", "report"
-_REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.html")
+_REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.(html|pdf)")
 
 
 class Documents:
@@ -363,7 +363,8 @@ class Documents:
 
 def newest_report(dataset: Path) -> Path | None:
     """Return the report of a dataset that was written last, or None."""
-    reports = dataset.parent.glob(f"{glob.escape(dataset.stem)}-{REPORT}-*.html")
+    beside = dataset.parent.glob(f"{glob.escape(dataset.stem)}-{REPORT}-*")
+    reports = (path for path in beside if _REPORT_NAME.fullmatch(path.name))
     return max(reports, key=lambda path: path.stat().st_mtime, default=None)
 
 

@@ -248,9 +248,10 @@ def _surface(material: Material) -> ReportSection:
         "Heights of the stitched surface from above, light from the north-west; plain grey: not measured. "
         "Numbers: results; F with a number: features of the job."
     )
+    mosaic = material.result.mosaic()
     drawing = marked_map_svg(
-        whole_picture(material.result.mosaic(), info.low_um, info.high_um),
-        outline_um(material.result.mosaic()),
+        whole_picture(mosaic, info.low_um, info.high_um),
+        outline_um(mosaic),
         marks_of(material),
         MapKey(info.low_um, info.high_um, DisplayStyle().colours),
     )

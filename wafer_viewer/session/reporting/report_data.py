@@ -156,8 +156,11 @@ def unmeasured_words(info: SurfaceInfo) -> Iterator[str]:
 
 
 def day_words(iso: str) -> str:
-    """Return a date with its time as people write it: ``1 March 2026, 10:00``."""
-    at = datetime.fromisoformat(iso)
+    """Return a date with its time as people write it, ``1 March 2026, 10:00``; any other text as it is."""
+    try:
+        at = datetime.fromisoformat(iso)
+    except ValueError:
+        return iso
     return f"{at.day} {at:%B %Y, %H:%M}"
 
 

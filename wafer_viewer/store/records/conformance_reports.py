@@ -18,7 +18,7 @@ from markupsafe import Markup
 
 from wafer_viewer.model.acquisition.conformance import ConformanceReport, ReportSignature, SignedConformance
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.report import Report
+from wafer_viewer.model.report import PAGE, PRINTED, Report
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import load_json, save_json
 from wafer_viewer.store.records.printed_report import print_pdf
@@ -63,7 +63,7 @@ def write_report(report: Report, path: Path) -> None:
         raise DatasetError(f"{path.name} is no name of a report: give NAME{PAGE} or NAME{PRINTED}.")
 
 
-PAGE, RECORD, PRINTED = ".html", ".json", ".pdf"
+RECORD = ".json"
 
 
 @cache
