@@ -146,7 +146,7 @@ def test_a_report_is_ordered_written_and_opened(page: Page, session: StitchedSes
     expect(notes(page)).to_contain_text("the disk is full")
     session.papers.fails_with = None
     press(page, "Write report")
-    expect(page.locator(".mantine-Notification-root", has_text="coupon-07-report-1.html")).to_be_visible()
+    expect(page.locator(".mantine-Notification-root", has_text="memory-report-1.html")).to_be_visible()
     order = session.asked[-1][1][0]
     assert order.title == "Lot <7>"
     assert "recipe" not in order.parts
