@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import wafer_viewer as wv
 from tests.support.surfaces import gauge_blocks
@@ -69,7 +70,7 @@ def step_and_surface():
 def test_a_result_is_a_number_with_its_uncertainty():
     _, step = step_and_surface()
     assert float(step) == float(step.height) == step.height.value_um
-    assert step.u == step.height.u == pytest.approx(step.height.expanded_um / 2)
+    assert step.u == step.height.u == pytest.approx(step.height.expanded_um / step.height.k)
     assert step.u == pytest.approx(np.sqrt(sum(line.u_um**2 for line in step.height.budget)))
     uncertain, certain = wv.Quantity(value=1.5, unit="mrad"), wv.Length(value_um=30.0371, expanded_um=0.118)
     assert (uncertain.u, str(uncertain), str(certain)) == (None, "1.500 mrad", "30.04 ± 0.12 um")
@@ -79,8 +80,18 @@ def test_a_result_is_a_dictionary_and_a_table():
     _, step = step_and_surface()
     data = step.to_dict()
     assert (data["name"], data["upper"]["kind"]) == ("blocks", "rectangle")
-    assert {"value": float(step), "unit": "um", "u": step.u, "k": 2.0}.items() <= data["height"].items()
-    assert sum(u**2 for u in data["height"]["budget"].values()) == pytest.approx(step.u**2)
+    height = data["height"]
+    assert (height["value"], height["unit"], height["u"]) == (float(step), "um", step.u)
+    assert height["expanded"] == pytest.approx(height["k"] * step.u)
+    lines = {line["name"]: line for line in height["budget"]}
+    assert sum(line["u"] ** 2 for line in lines.values()) == pytest.approx(step.u**2)
+    noise, scale = lines["noise and form of the faces"], lines["z scale"]
+    assert (noise["evaluation"], noise["distribution"]) == ("A", "normal")
+    assert (scale["evaluation"], scale["freedom"]) == ("B", None)
+    assert lines["interpolation between frames"]["distribution"] == "triangular"
+    assert height["freedom"] == pytest.approx(step.u**4 / (noise["u"] ** 4 / noise["freedom"]))
+    covered = stats.t.cdf(height["k"], height["freedom"]) - stats.t.cdf(-height["k"], height["freedom"])
+    assert covered == pytest.approx(height["coverage"], rel=1e-9)
     table = step.to_frame()
     assert list(table.index) == ["height", "at_joint", "tilt"]
     assert table.loc["height", "u"] == step.u
@@ -96,7 +107,7 @@ def test_a_table_without_pandas_says_what_to_install(monkeypatch):
 def test_results_and_surfaces_are_shown_in_three_lines():
     surface, step = step_and_surface()
     first, second, third = repr(step).splitlines()
-    assert first.startswith(f"StepHeight: height {step.height} (k = 2)")
+    assert first.startswith(f"StepHeight: height {step.height} (k = {step.height.k:.3g})")
     assert "tilt" in second
     assert third.strip() == "blocks; unsmoothed heights; 3 notes"
     first, second, third = repr(surface).splitlines()

@@ -30,8 +30,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import RigError
+from wafer_viewer.model.quantity import coverage_factor
 from wafer_viewer.numerics.cross_correlation import contrast, normalised_cross_correlation
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, student
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.numerics.subpixel_registration import RegisteredImage, SubpixelShift, align
 
 # --------------------------------------------------------------------------------------------------- frame displacement
@@ -290,7 +291,7 @@ def _centred(positions: Complexes) -> Complexes:
 def _mean_of_axes(values: list[NDArray[np.float64]]) -> _AxisMeans:
     freedom = sum(len(v) - 1 for v in values)
     s = math.sqrt(sum(float(((v - v.mean()) ** 2).sum()) for v in values) / freedom)
-    wide = s * student(freedom) / 2
+    wide = s * coverage_factor(freedom) / 2
     x, y = (Estimate(float(v.mean()), wide / math.sqrt(len(v))) for v in values)
     between = abs(x.value - y.value) / 2 / math.sqrt(3)
     return _AxisMeans(x, y, Estimate((x.value + y.value) / 2, math.hypot(math.hypot(x.u, y.u) / 2, between)))
@@ -422,7 +423,7 @@ def mapping_deviation(sample_um: Complexes, found_px: Sequence[Complexes]) -> Ma
     freedom = float((count[enough] - 1).sum())
     s_um = math.sqrt(float(np.nansum(residual)) / (2 * freedom))
     radius = math.sqrt(-2 * math.log(1 - CONFIDENCE ** (1 / float(enough.sum()))))
-    wide = student(float(count[enough].mean()) - 1) / 2
+    wide = coverage_factor(float(count[enough].mean()) - 1) / 2
     u_um = wide * radius / 2 * s_um / math.sqrt(float(count[enough].mean()))
     return MappingDeviation(Estimate(float(np.nanmax(np.abs(mean))), u_um), mean)
 

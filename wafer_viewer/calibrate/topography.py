@@ -28,8 +28,9 @@ from wafer_viewer.calibrate.image_geometry import Estimate
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import GaugeCheck, ScaleCorrection
+from wafer_viewer.model.quantity import coverage_factor
 from wafer_viewer.model.spec import replace
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, student, u_of_mean
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, u_of_mean
 
 # -------------------------------------------------------------------------------------------------------- edge response
 
@@ -372,7 +373,7 @@ def flatness_deviation_um(maps: Sequence[Heights]) -> Estimate:
     mean = np.nanmean(of_block, axis=0)
     scatter = np.nanstd(of_block, axis=0, ddof=1) / np.sqrt(count[known])
     high, low = int(mean.argmax()), int(mean.argmin())
-    wide = student(LEAST_SHARE * len(maps) - 1) / 2
+    wide = coverage_factor(LEAST_SHARE * len(maps) - 1) / 2
     return Estimate(float(mean[high] - mean[low]), wide * float(math.hypot(scatter[high], scatter[low])))
 
 

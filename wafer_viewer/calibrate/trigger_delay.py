@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from wafer_viewer.calibrate.image_geometry import Estimate
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.numerics.normal_statistics import student
+from wafer_viewer.model.quantity import coverage_factor
 
 Floats = NDArray[np.float64]
 STEPS = 6
@@ -134,7 +134,7 @@ def delay_error(pairs: Sequence[SweepPair], u_shift_um: float = 0.0) -> DelayErr
     freedom = len(pairs) - 2
     residual = shifts - design @ solution
     covariance = float(residual @ residual) / freedom * np.linalg.inv(design.T @ design)
-    wide = student(freedom) / 2
+    wide = coverage_factor(freedom) / 2
     u = wide * np.sqrt(np.diag(covariance))
     u_delay_us = math.hypot(float(u[1]), u_shift_um / float(np.ptp(speeds))) * 1e6
     play_um = Estimate(float(solution[0]), math.hypot(float(u[0]), u_shift_um))

@@ -154,7 +154,9 @@ def measured_text(measured: Quantity | None) -> str:
     if measured is None:
         return "not measured"
     u, unit = measured.expanded, measured.unit
-    return f"{measured.value:.3f} {unit}" + (f" +- {u:.2g} {unit} (k = 2)" if u is not None else ", no uncertainty")
+    return f"{measured.value:.3f} {unit}" + (
+        f" +- {u:.2g} {unit} ({measured.k_text})" if u is not None else ", no uncertainty"
+    )
 
 
 def print_surface(out: Path, info: SurfaceInfo) -> None:

@@ -18,8 +18,6 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 
-COVERAGE = 2.0
-"""Coverage factor k of every expanded uncertainty."""
 MOST_REPEATS = 25
 """Largest number of scans proposed to the operator; beyond it, the engineer decides."""
 
@@ -207,8 +205,8 @@ def scans_needed(item: FeatureVerdict) -> int | None:
     quantity = item.measured
     if quantity is None or not quantity.budget:
         return None
-    repeats = COVERAGE**2 * math.fsum(line.u**2 for line in quantity.budget if line.name in LESS_WITH_REPEATS)
-    stays = COVERAGE**2 * math.fsum(line.u**2 for line in quantity.budget if line.name not in LESS_WITH_REPEATS)
+    repeats = quantity.k**2 * math.fsum(line.u**2 for line in quantity.budget if line.name in LESS_WITH_REPEATS)
+    stays = quantity.k**2 * math.fsum(line.u**2 for line in quantity.budget if line.name not in LESS_WITH_REPEATS)
     room = _to_nearest_limit(item.feature, quantity) ** 2 - stays
     n = math.ceil(repeats / room) if room > 0 else math.inf
     return int(n) if n <= MOST_REPEATS else None

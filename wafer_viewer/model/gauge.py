@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
-from wafer_viewer.model.quantity import Length, Unit, Word
+from wafer_viewer.model.quantity import Contribution, Length, Unit, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Setting, Spec, Within
 
@@ -172,12 +172,9 @@ class GaugeRepeat(Spec, frozen=True, kw_only=True):
         return named or (bool(self.surface) and self.surface == other.surface)
 
 
-class GaugeLine(Spec, frozen=True, kw_only=True):
+class GaugeLine(Contribution, frozen=True, kw_only=True):
     """One line of a check's budget: a standard uncertainty (k = 1) in um and its scope."""
 
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-    name: str
-    u_um: NonNegative
     of: Role
 
 

@@ -153,7 +153,12 @@ GLOSSARY: tuple[Term, ...] = (
     Term("chipping", "Measurement", "Material broken off along an edge of a die."),
     Term("coplanarity", "Measurement", "Largest distance of the tops of bumps from one plane.", "JEDEC JESD22-B108"),
     Term("site range", "Measurement", "Range of heights of the front surface in each site, as mounted."),
-    Term("uncertainty, U", "Measurement", "Expanded uncertainty with coverage factor k = 2.", "GUM"),
+    Term(
+        "uncertainty, U",
+        "Measurement",
+        "Expanded uncertainty, k times the standard one: it covers 95.45 %.",
+        "GUM",
+    ),
     Term("budget", "Measurement", "The list of contributions to an uncertainty, and of those not evaluated.", "GUM"),
     Term("uncalibrated", "Measurement", "Of a length: no valid calibration holds, so it has no U and gets no verdict."),
     # ------------------------------------------------------------------------------------------------- gauge check

@@ -1,4 +1,4 @@
-"""Constants of the normal distribution that robust statistics take, and the quantile of Student's t."""
+"""Constants of the normal distribution that robust statistics take, and means with their uncertainty."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.quantity import coverage_factor
+
 MAD_TO_SIGMA = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of normal values."""
 HALF_NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a normal variable of standard deviation 1."""
-TWO_SIGMA_QUANTILE = 0.97725
-"""Probability of a normal variable below two standard deviations: both sides together leave 95.45 %."""
 
 
 def median(values: NDArray[np.floating]) -> float:
@@ -23,15 +23,8 @@ def median(values: NDArray[np.floating]) -> float:
     return middle if values.size % 2 else (middle + float(ordered[:half].max())) / 2
 
 
-def student(freedom: float) -> float:
-    """Two-sided 95.45 % point of Student's t, which is 2 for many degrees of freedom."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, TWO_SIGMA_QUANTILE))
-
-
 def u_of_mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the standard uncertainty of the mean along the first axis, for few values widened by Student's t."""
     scatter = np.asarray(values, np.float64).std(axis=0, ddof=1)
-    widened: NDArray[np.float64] = student(len(values) - 1) / 2 / math.sqrt(len(values)) * scatter
+    widened: NDArray[np.float64] = coverage_factor(len(values) - 1) / 2 / math.sqrt(len(values)) * scatter
     return widened

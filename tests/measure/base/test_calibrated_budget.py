@@ -37,7 +37,7 @@ def budget_of(step):
 def test_u_of_a_step_grows_with_that_of_the_calibration_and_names_it(field, line):
     small, large = step_with(**{field: 0.1}), step_with(**{field: 0.5})
     assert (budget_of(small)[line], budget_of(large)[line]) == (0.1, 0.5)
-    grown = (large.height.expanded_um / 2) ** 2 - (small.height.expanded_um / 2) ** 2
+    grown = large.height.u**2 - small.height.u**2
     assert grown == pytest.approx(0.5**2 - 0.1**2, rel=1e-6)
 
 

@@ -70,10 +70,10 @@ def test_noise_that_is_not_known_is_none():
 
 def test_scatter_and_noise_of_pixels_are_pooled_and_form_stays():
     few = Scatter(0.1, 4.0)
-    assert noise_um(few, 0.0) == few.widened
-    assert few.widened < noise_um(few, 0.3) < 0.3
-    assert noise_um(Scatter(0.5, 4.0), 0.3) == Scatter(0.5, 4.0).widened
-    assert noise_um(Scatter(0.1, 1e6), 0.3) == pytest.approx(0.1, rel=1e-3)  # many residuals know better
+    assert noise_um(few, 0.0) == few
+    assert few.expanded < noise_um(few, 0.3).expanded < 2 * 0.3
+    assert noise_um(Scatter(0.5, 4.0), 0.3) == Scatter(0.5, 4.0)
+    assert noise_um(Scatter(0.1, 1e6), 0.3).u == pytest.approx(0.1, rel=1e-3)  # many residuals know better
 
 
 def test_noisy_pixels_make_a_step_a_groove_and_a_bump_less_certain():

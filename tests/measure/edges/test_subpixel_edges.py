@@ -41,7 +41,7 @@ def test_an_edge_in_noise_is_found_within_a_fiftieth_of_a_pixel(blur_px):
         at = float(np.random.default_rng(seed).uniform(-0.5, 0.5))
         found = find_edge(strip(edge(at, blur_px=blur_px, seed=seed)))
         errors.append(off_px(found, at))
-        expanded.append(2 * found.line.u_um(float(found.line.along(at, 0.0))))
+        expanded.append(found.line.u_um(float(found.line.along(at, 0.0))).expanded)
     assert abs(np.mean(errors)) < 0.005
     assert np.abs(errors).max() < 0.02
     assert covered(errors, expanded) >= 0.88
@@ -51,14 +51,14 @@ def test_an_edge_in_noise_is_found_within_a_fiftieth_of_a_pixel(blur_px):
 def test_u_covers_edges_whose_points_err_alike(correlation_px):
     found = [find_edge(strip(edge(0.3, seed=seed, correlation_px=correlation_px))) for seed in range(RUNS)]
     errors = [off_px(one, 0.3) for one in found]
-    assert covered(errors, [2 * one.line.u_um(float(one.line.along(0.3, 0.0))) for one in found]) >= 0.88
+    assert covered(errors, [one.line.u_um(float(one.line.along(0.3, 0.0))).expanded for one in found]) >= 0.88
 
 
 def test_an_edge_says_its_slope_its_sign_and_how_sure_both_are():
     found = find_edge(strip(edge(0.3, slope=0.08)))
     assert found.sign == 1
     assert abs(found.line.angle_deg) == pytest.approx(90 + np.degrees(np.arctan(0.08)), abs=0.01)
-    assert 0 < found.line.u_angle_deg < 0.01
+    assert 0 < found.line.u_angle_deg.u < 0.01
     assert find_edge(strip(edge(0.3)[:, ::-1])).sign == -1
 
 
@@ -81,7 +81,7 @@ def test_a_circle_is_found_within_a_fiftieth_of_a_pixel_and_u_covers_it():
         found = find_circle(strip(disc(30.3, x_px, y_px, seed=seed)), 0.0, 0.0, 40.0)
         assert np.hypot(found.x_um - x_px, found.y_um - y_px) < 0.03
         errors.append(found.radius_um - 30.3)
-        expanded.append(2 * found.u_radius_um)
+        expanded.append(found.u_radius_um.expanded)
     assert abs(np.mean(errors)) < 0.005
     assert np.abs(errors).max() < 0.02
     assert covered(errors, expanded) >= 0.88
@@ -99,7 +99,7 @@ def test_neighbours_that_err_alike_are_distinguished_from_those_that_do_not():
     white = rng.normal(size=4000)
     assert correlation_length(white) == pytest.approx(1, abs=0.4)
     assert correlation_length(np.repeat(white[:400], 10)) == pytest.approx(10, rel=0.4)
-    assert chain_uncertainty(np.ones((5000, 1)), rng.normal(size=5000), np.ones(1)) == pytest.approx(
+    assert chain_uncertainty(np.ones((5000, 1)), rng.normal(size=5000), np.ones(1)).u == pytest.approx(
         1 / np.sqrt(5000), rel=0.1
     )
     assert chain_uncertainty(np.ones((4, 1)), white[:4], np.ones(1)) is None

@@ -22,6 +22,13 @@ def length(value_um, expanded_um):
     return Length(value_um=value_um, expanded_um=expanded_um, status="evaluated")
 
 
+def repeatability(check):
+    """Standard uncertainty and degrees of freedom of a line that is evaluated by scatter."""
+    (line,) = (line for line in check.budget if line.name == "repeatability")
+    assert line.evaluation == "A"
+    return line.u_um, line.freedom
+
+
 def u_of(check, name):
     return next(line.u_um for line in check.budget if line.name == name)
 
@@ -81,19 +88,23 @@ def test_the_repeats_bring_their_scatter_with_students_factor():
     found = gauge_check(repeats(399.9, 400.0, 400.1), certificate())
     assert (found.n, found.s_um, found.range_um) == (3, pytest.approx(0.1), pytest.approx(0.2))
     assert found.height.value_um == pytest.approx(400.0)
-    # t for 95.45 % and two degrees of freedom is 4.527 (GUM, table G.2: 4.53)
-    assert u_of(found, "repeatability") == pytest.approx(4.527 / 2 * 0.1 / math.sqrt(3), rel=1e-3)
+    assert repeatability(found) == (pytest.approx(0.1 / math.sqrt(3)), 2)
+    u_um = math.hypot(0.04, 0.08, 0.1 / math.sqrt(3))
+    freedom = u_um**4 / ((0.1 / math.sqrt(3)) ** 4 / 2)  # Welch-Satterthwaite: 23.1, for which t is 2.11
+    assert found.height.freedom == pytest.approx(freedom)
+    assert found.height.k == pytest.approx(2.11, abs=0.01)
+    assert found.height.expanded_um == pytest.approx(found.height.k * u_um)
     assert all(not what.startswith("repeatability") for what in found.not_evaluated)
 
 
 def test_a_scatter_known_from_before_is_pooled_unless_todays_is_much_larger():
     alone = gauge_check(repeats(400.0), certificate(), known=KnownTerms(0.1, 30))
-    assert u_of(alone, "repeatability") == pytest.approx(0.1 * 2.087 / 2, rel=1e-3)  # t for 30: 2.087
+    assert repeatability(alone) == (pytest.approx(0.1), 30)
     pooled = gauge_check(repeats(399.95, 400.05), certificate(), known=KnownTerms(0.1, 30))
     s_um = math.sqrt((30 * 0.01 + 0.005) / 31)
-    assert u_of(pooled, "repeatability") == pytest.approx(s_um / math.sqrt(2) * 2.084 / 2, rel=1e-3)
+    assert repeatability(pooled) == (pytest.approx(s_um / math.sqrt(2)), 31)
     odd = gauge_check(repeats(399.0, 400.0, 401.0), certificate(), known=KnownTerms(0.01, 30))
-    assert u_of(odd, "repeatability") == pytest.approx(4.527 / 2 / math.sqrt(3), rel=1e-3)
+    assert repeatability(odd) == (pytest.approx(1 / math.sqrt(3)), 2)
 
 
 def test_the_reference_is_as_long_as_the_blocks_are_warm():

@@ -71,8 +71,8 @@ def test_every_result_has_a_sheet_with_all_its_numbers_and_its_budget(report):
     sheets = section(report, "Results").sheets
     assert [sheet.title for sheet in sheets] == [f"{tool} {n}" for n, (tool, _) in enumerate(KINDS, 1)]
     step, _, flat, texture, *_ = sheets
-    assert step.budget.heads == ("Contribution", "u, µm", "of u²")
-    assert sum(float(row[2].split()[0]) for row in step.budget.rows[:-2] if "<" not in row[2]) == pytest.approx(
+    assert step.budget.heads == ("Contribution", "Type", "Freedom", "u, µm", "of u²")
+    assert sum(float(row[4].split()[0]) for row in step.budget.rows[:-2] if "<" not in row[4]) == pytest.approx(
         100, abs=1
     )
     assert dict(flat.pairs)["FLTq"].startswith("0.0")
@@ -106,7 +106,11 @@ def test_the_verdict_shows_every_die_with_its_word(report):
     assert (sheet.number, sheet.below) == ("F1", "Step height")
     assert sheet.picture.startswith("data:image/jpeg")
     assert sheet.budget.rows[0][0] == "z scale"
-    assert [row[0] for row in sheet.budget.rows[-2:]] == ["combined, k = 1", "expanded, k = 2"]
+    combined, expanded = sheet.budget.rows[-2:]
+    assert combined[0] == "combined, k = 1"
+    assert expanded[0].startswith("expanded, k = 2")
+    k = float(expanded[0].removeprefix("expanded, k = "))
+    assert float(expanded[3]) == pytest.approx(k * float(combined[3]), rel=0.1)
     assert "temperature" in sheet.missing
     assert any(
         text.startswith("Not evaluated in U of features F1, F2: ") for text in section(report, "Warnings").sentences

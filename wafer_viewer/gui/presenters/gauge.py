@@ -77,7 +77,7 @@ def result(check: GaugeCheck) -> Markup:
         _line("Error", check.deviation, digits, signed=True, look="strong"),
     ]
     en = Markup('<div class="wv-lab">{}</div>').format(html.with_micro_sign(check.en_why)) if check.en_why else Markup()
-    return html.head("Result", "k = 2") + html.table(["", "Step, µm", "U, µm"], rows, " nn") + en
+    return html.head("Result", "U covers 95 %") + html.table(["", "Step, µm", "U, µm"], rows, " nn") + en
 
 
 def repeats(taken: tuple[GaugeRepeat, ...], check: GaugeCheck | None, may_drop: bool) -> Markup:
@@ -231,7 +231,7 @@ def budget(check: GaugeCheck) -> Markup:
         for name, length in sums
         if length.expanded_um is not None
     ]
-    return html.head("Uncertainty", "µm · lines k = 1, sums k = 2") + html.table([], rows, " n")
+    return html.head("Uncertainty", "µm · lines k = 1, U covers 95 %") + html.table([], rows, " n")
 
 
 def not_evaluated(check: GaugeCheck) -> Markup:

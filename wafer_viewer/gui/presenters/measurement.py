@@ -92,7 +92,9 @@ def answer(name: str, quantity: Quantity, signed: bool = False) -> Markup:
     value, u, unit = value_texts(quantity, signed=signed)
     if quantity.expanded is not None:
         uncertainty = with_unit_sign(f"± {u}", unit)
-        below = Markup('{} <span class="dim" style="font-size:13px">expanded, k = 2</span>').format(uncertainty)
+        below = Markup('{} <span class="dim" style="font-size:13px">expanded, {}</span>').format(
+            uncertainty, quantity.k_text
+        )
     else:
         below = Markup('<span style="color:var(--attention)">{}</span>').format(
             NO_U.get(quantity.status, "U not evaluated")
@@ -121,8 +123,8 @@ def budget(quantity: Quantity) -> Markup:
     lines = [(line.name[:1].upper() + line.name[1:], line.u * read.factor) for line in quantity.budget]
     table = [html.row([name, number(u, digits)], " n") for name, u in lines]
     combined = math.sqrt(sum(u**2 for _, u in lines))
-    total = f"{number(combined, digits)} · {number(2 * combined, digits)}"
-    table.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
+    total = f"{number(combined, digits)} · {number(quantity.k * combined, digits)}"
+    table.append(html.row([f"Combined · expanded, {quantity.k_text}", total], " n", look="strong"))
     return html.head("Uncertainty", f"{read.unit}, k = 1") + html.table([], table, " n")
 
 

@@ -201,7 +201,7 @@ def numbers(item: ReviewItem) -> Markup:
     word = verdict.state(item.word) + " · " if item.word is not None else Markup()
     reason = word + html.with_micro_sign(item.reason)
     below = Markup('<div class="wv-sub" style="margin-top:6px">{}</div>').format(reason) if reason else Markup()
-    table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
+    table = html.table(["", "Value", "± U, 95 %", ""], rows, " nn") if rows else ""
     return html.head("Numbers") + table + below
 
 

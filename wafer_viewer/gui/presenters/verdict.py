@@ -59,7 +59,7 @@ def features(verdict: WaferVerdict) -> Markup:
         return Markup()
     rules = dict.fromkeys(rule_title(item.feature) for item in verdict.items)
     rows = [*_on_dies(verdict), *(_row(item) for item in verdict.items if not (item.die and item.word == "pass"))]
-    return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
+    return html.head("Features", f"U covers 95 % · {', '.join(rules)}") + html.table(
         ["", "Value ± U", "Limits", ""], rows, " nn "
     )
 

@@ -333,7 +333,7 @@ def _stepped(snapshot: Snapshot) -> Result:
     if height.expanded_um is None:
         return "Step", with_unit(height.value_um, 2), f"{step.name}, U not evaluated", True
     value = f"{number(height.value_um, 2)} ± {with_unit(height.expanded_um, 2)}"
-    return "Step", value, f"{step.name}, k = 2", True
+    return "Step", value, f"{step.name}, {height.quantity.k_text}", True
 
 
 def _inspected(snapshot: Snapshot) -> Result:

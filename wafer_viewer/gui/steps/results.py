@@ -94,7 +94,7 @@ def _rows(thumbnails: Thumbnails, snapshot: Snapshot, view: View) -> Markup:
     if not snapshot.findings:
         return html.empty("What you keep is listed here.") + Markup('<div style="height:8px"></div>')
     rows = [_row(f, view, thumbnails.of(f, snapshot)) for f in snapshot.findings]
-    return html.table(["", "Result", "k = 2"], rows, "  n") + Markup('<div style="height:6px"></div>')
+    return html.table(["", "Result", "U: 95 %"], rows, "  n") + Markup('<div style="height:6px"></div>')
 
 
 def _row(finding: AnyResult, view: View, thumbnail: str) -> Markup:

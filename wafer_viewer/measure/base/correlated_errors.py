@@ -7,13 +7,14 @@ Where neighbouring errors are uncorrelated, the points themselves are the observ
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
-from wafer_viewer.numerics.normal_statistics import student
+from wafer_viewer.model.quantity import coverage_factor, effective_freedom
 
 PIECE = 3.0
 """Block length, in correlation lengths of the errors."""
@@ -32,11 +33,10 @@ MOST_LAGS = 200
 """Largest lag of the autocorrelation of errors, in points."""
 
 
-def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> float | None:
-    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by its residuals [n].
+def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> Scatter | None:
+    """Uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by its residuals [n].
 
-    Rows must be in the order of the chain. Returns None with too few points. The value is widened by Student's t so
-    that the expanded uncertainty with k = 2 still covers 95 % with few blocks.
+    Rows must be in the order of the chain. Returns None with too few points.
     """
     reach = correlation_length(residuals)
     longest = len(residuals) // (design.shape[1] + MIN_CHAIN_FREEDOM)
@@ -49,7 +49,7 @@ def chain_uncertainty(design: Floats, residuals: Floats, gradient: Floats) -> fl
     scale = np.where((found := np.sqrt(np.mean(means**2, axis=0))) > 0, found, 1.0)
     inverse = np.linalg.pinv((means / scale).T @ (means / scale), hermitian=True)
     factor = float((gradient / scale) @ inverse @ (gradient / scale))
-    return math.sqrt(max(0.0, factor) * float(np.sum(left**2)) / freedom) * student(freedom) / 2
+    return Scatter(math.sqrt(max(0.0, factor) * float(np.sum(left**2)) / freedom), freedom)
 
 
 def correlation_length(residuals: Floats) -> float:
@@ -129,23 +129,33 @@ Labels = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """A standard uncertainty (k = 1) and its degrees of freedom."""
+    """A standard uncertainty (k = 1) that was evaluated from scatter, and its degrees of freedom."""
 
     u: float
     freedom: float
 
     @property
-    def widened(self) -> float:
-        """Standard uncertainty widened by Student's t, so that k = 2 covers 95.45 % with few degrees of freedom."""
-        return self.u * student(self.freedom) / 2
+    def expanded(self) -> float:
+        """Expanded uncertainty: covers 95.45 % with few degrees of freedom too."""
+        return coverage_factor(self.freedom) * self.u
+
+    @staticmethod
+    def largest(parts: Iterable[Scatter]) -> Scatter:
+        """Return the one with the largest expanded uncertainty."""
+        return max(parts, key=lambda part: part.expanded)
+
+    def times(self, factor: float) -> Scatter:
+        """Return the uncertainty of a multiple."""
+        return Scatter(abs(factor) * self.u, self.freedom)
 
     @classmethod
-    def joined(cls, *parts: Scatter) -> Scatter:
-        """Return the uncertainty of a sum of independent parts (Welch-Satterthwaite)."""
-        variance = sum(part.u**2 for part in parts)
-        if variance == 0:
-            return cls(0.0, min(part.freedom for part in parts))
-        return cls(math.sqrt(variance), variance**2 / sum(part.u**4 / part.freedom for part in parts))
+    def joined(cls, *parts: Scatter | float) -> Scatter:
+        """Return the uncertainty of a sum of independent parts; a plain number has no finite degrees of freedom."""
+        known = [(part.u, part.freedom) if isinstance(part, Scatter) else (part, None) for part in parts]
+        u, freedom = math.hypot(*(u for u, _ in known)), effective_freedom(known)
+        if u == 0:
+            return cls(0.0, min((freedom for _, freedom in known if freedom is not None), default=math.inf))
+        return cls(u, math.inf if freedom is None else freedom)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

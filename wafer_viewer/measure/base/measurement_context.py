@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Layer, layer_of, level_note
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.model.measurement.tool_options import Conditions
-from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity, Unit, UStatus
+from wafer_viewer.model.quantity import Contribution, Distribution, Length, Quantity, Unit, UStatus
 from wafer_viewer.model.surface.frame_health import interpolation_u_um
 from wafer_viewer.model.surface.height_map import Mosaic, Provenance
 
@@ -37,18 +39,22 @@ LESS_WITH_REPEATS = (NOISE, DRIFT, POSES, *OF_FRAMES, REPEATABILITY)
 """Lines reduced by averaging several scans; the others are common to all scans."""
 REFERENCE_C = 20.0
 """Reference temperature of lengths (ISO 1)."""
+DISTRIBUTIONS: dict[str, Distribution] = {INTERPOLATION: "triangular"}
+"""Distributions of lines that are not normal: both ends of a height difference lie anywhere between two frames."""
+Lines = Mapping[str, float | Scatter]
+"""Budget lines: standard uncertainty (k = 1) by source, with degrees of freedom where scatter gave it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
     """Standard uncertainties (k = 1) in um by source, and the lines that were not evaluated."""
 
-    lines: dict[str, float]
+    lines: Lines
     not_evaluated: tuple[str, ...]
 
 
 def step_budget(
-    height_um: float, of_points: dict[str, float | None], conditions: Conditions, provenance: Provenance
+    height_um: float, of_points: Mapping[str, float | Scatter | None], conditions: Conditions, provenance: Provenance
 ) -> Budget:
     """Return the budget of a height; of_points: lines evaluated from its points, None where they cannot be."""
     known = {**from_conditions(height_um, conditions, provenance), **of_points}
@@ -105,8 +111,23 @@ def _temperature_um(height_um: float, conditions: Conditions) -> float | None:
     return abs(height_um) * conditions.expansion_per_k * off_k
 
 
-Lines = dict[str, float]
-"""Budget lines: standard uncertainty (k = 1) by source."""
+def contribution(name: str, u: float | Scatter) -> Contribution:
+    """Return a line of a budget; a scatter was evaluated from readings (type A), a plain number otherwise (type B)."""
+    distribution = DISTRIBUTIONS.get(name, "normal")
+    if not isinstance(u, Scatter):
+        return Contribution(name=name, distribution=distribution, u_um=u)
+    freedom = None if math.isinf(u.freedom) else u.freedom
+    return Contribution(name=name, evaluation="A", distribution=distribution, freedom=freedom, u_um=u.u)
+
+
+def times(u: float | Scatter, factor: float) -> float | Scatter:
+    """Return the standard uncertainty of a multiple."""
+    return u.times(factor) if isinstance(u, Scatter) else abs(factor) * u
+
+
+def combined(lines: Iterable[float | Scatter]) -> float:
+    """Return the root sum of squares of standard uncertainties."""
+    return Scatter.joined(*lines).u
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,13 +158,14 @@ class MeasurementContext:
     def length(self, value_um: float, lines: Lines | None) -> Length:
         """Return a length with its budget; lines None: no defensible budget exists."""
         if self.calibrated and lines is not None:
-            return Length.evaluated(value_um, tuple(Contribution(name=n, u_um=u) for n, u in lines.items()))
+            return Length.evaluated(value_um, tuple(contribution(*line) for line in lines.items()))
         return Length(value_um=value_um, status=self._no_budget())
 
     def quantity(self, value: float, unit: Unit, lines: Lines | None) -> Quantity:
         """Return a quantity that is not a length; its budget lines are in its own unit."""
         if self.calibrated and lines is not None:
-            return Quantity.evaluated(value, unit, tuple(BudgetLine(name=n, u=u) for n, u in lines.items()))
+            budget = tuple(contribution(*line).general for line in lines.items())
+            return Quantity.evaluated(value, unit, budget)
         return Quantity(value=value, unit=unit, status=self._no_budget())
 
     def not_in_budget(self, *more: str, own: bool = False) -> tuple[str, ...]:
@@ -199,7 +221,7 @@ class MeasurementContext:
         window = self.surface.provenance.recipe.window
         return 0 if isinstance(window, str) else window - 1
 
-    def frame_lines(self, factor: float = 1.0) -> Lines:
+    def frame_lines(self, factor: float = 1.0) -> dict[str, float]:
         """Return the budget lines of `factor` times a height difference that the frames of its stack cause."""
         return {name: factor * u_um for name, u_um in frame_lines_um(self.surface.provenance).items()}
 

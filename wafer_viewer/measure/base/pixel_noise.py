@@ -24,7 +24,6 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.numerics.fourier import fast_length
-from wafer_viewer.numerics.normal_statistics import student
 
 # ----------------------------------------------------------------------------------------------------------- noise bias
 
@@ -52,8 +51,8 @@ def noise_lines(
     covariance_um2: Floats,
     extremes: Collection[str],
     repeats: int = REPEATS,
-) -> dict[str, float]:
-    """Return the standard uncertainty (k = 1) due to noise of each length that a surface is evaluated to.
+) -> dict[str, Scatter]:
+    """Return the uncertainty due to noise of each length that a surface is evaluated to.
 
     Parameters
     ----------
@@ -71,20 +70,20 @@ def noise_lines(
     Returns
     -------
     dict
-        Standard uncertainty of each length, um: BIAS_SHARE of its bias by noise, and the scatter between
+        Uncertainty of each length, um: BIAS_SHARE of its bias by noise, and the scatter between
         realisations.
     """
     found = evaluate(z_um)
     again = [evaluate(z_um + noise) for noise in noise_of(covariance_um2, z_um.shape, repeats)]
-    lines = dict[str, float]()
+    lines = dict[str, Scatter]()
     for name, value in found.items():
         each = np.array([one[name] for one in again])
         if name in extremes:
             bias = EXTREMES_GROW * (float(each.mean()) - value)
         else:
             bias = value - math.sqrt(max(0.0, 2 * value**2 - float(np.mean(each**2))))
-        scatter = float(each.std(ddof=1)) * student(repeats - 1) / 2
-        lines[name] = math.hypot(BIAS_SHARE * min(max(0.0, bias), value), scatter)
+        scatter = Scatter(float(each.std(ddof=1)), repeats - 1)
+        lines[name] = Scatter.joined(BIAS_SHARE * min(max(0.0, bias), value), scatter)
     return lines
 
 
@@ -173,15 +172,15 @@ def pixel_noise_um(reading: MeasurementContext, heights: WeightedHeights) -> flo
     return _alike_over(window, focus_measures()[recipe.focus_measure].passes, pulls * np.nan_to_num(noise_um))
 
 
-def noise_um(scatter: Scatter, of_pixels_um: float) -> float:
-    """Return the standard uncertainty (k = 1) of a sum by the scatter of the residuals and by the noise of its pixels.
+def noise_um(scatter: Scatter, of_pixels_um: float) -> Scatter:
+    """Return the uncertainty of a sum by the scatter of the residuals and by the noise of its pixels.
 
     Where the scatter is less than the pixels say, both are estimates of one variance, pooled by their freedom. More
     scatter is form or texture, which is no noise of pixels.
     """
     freedom = scatter.freedom + PIXEL_FREEDOM
     pooled_um2 = (scatter.freedom * scatter.u**2 + PIXEL_FREEDOM * of_pixels_um**2) / freedom
-    return max(scatter.widened, Scatter(math.sqrt(pooled_um2), freedom).widened)
+    return Scatter.largest((scatter, Scatter(math.sqrt(pooled_um2), freedom)))
 
 
 def _alike_over(window: int, passes: int, pulls_um: Floats) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import chain_uncertainty
+from wafer_viewer.measure.base.correlated_errors import Scatter, chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
@@ -190,15 +190,15 @@ class EdgeLine:
         """Return the place at a coordinate along the line."""
         return self.x_um + along_um * self.direction[0], self.y_um + along_um * self.direction[1]
 
-    def u_um(self, along_um: float = 0.0) -> float | None:
-        """Standard uncertainty of the line's lateral position there, by its residuals; None with too few points."""
+    def u_um(self, along_um: float = 0.0) -> Scatter | None:
+        """Return the uncertainty of the line's lateral position there, by its residuals; None with too few points."""
         return chain_uncertainty(self._design, self.off_um, np.array([along_um, 1.0]))
 
     @property
-    def u_angle_deg(self) -> float | None:
-        """Standard uncertainty of the angle; None with too few points."""
+    def u_angle_deg(self) -> Scatter | None:
+        """Uncertainty of the angle; None with too few points."""
         u = chain_uncertainty(self._design, self.off_um, np.array([1.0, 0.0]))
-        return None if u is None else math.degrees(u)
+        return None if u is None else u.times(math.degrees(1))
 
     @property
     def region(self) -> Region:

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
@@ -439,12 +440,12 @@ def notes(reading: MeasurementContext, *more: str) -> tuple[str, ...]:
 
 
 def between_edges(
-    reading: MeasurementContext, value_um: float, pixel_um: float, scatter_um: float | None, n_edges: int = 2
+    reading: MeasurementContext, value_um: float, pixel_um: float, scatter_um: float | Scatter | None, n_edges: int = 2
 ) -> Length:
-    """Return a length between edges. scatter_um: standard uncertainty from edge points; None: unknown."""
+    """Return a length between edges. scatter_um: uncertainty from edge points; None: unknown."""
     if scatter_um is None:
         return reading.length(value_um, None)
-    lines = {
+    lines: Lines = {
         **reading.lateral_lines(value_um),
         "scatter of the edge points": scatter_um,
         "place between two pixels": math.sqrt(n_edges) * U_SUBPIXEL_PX * pixel_um,
@@ -452,13 +453,13 @@ def between_edges(
     return reading.length(value_um, lines)
 
 
-def angle(reading: MeasurementContext, value_deg: float, scatter_deg: float | None) -> Quantity:
-    """Return an angle between edges. scatter_deg: standard uncertainty from edge points; None: unknown."""
-    lines = None if scatter_deg is None else {"scatter of the edge points": scatter_deg}
+def angle(reading: MeasurementContext, value_deg: float, scatter_deg: Scatter | None) -> Quantity:
+    """Return an angle between edges. scatter_deg: uncertainty from edge points; None: unknown."""
+    lines: Lines | None = None if scatter_deg is None else {"scatter of the edge points": scatter_deg}
     return reading.quantity(value_deg, "deg", lines)
 
 
-def root_sum_of_squares(*parts: float | None) -> float | None:
-    """Return the root sum of squares; None where one value is unknown."""
+def sum_of_independent(*parts: Scatter | None) -> Scatter | None:
+    """Return the uncertainty of a sum of independent parts; None where one is unknown."""
     known = [part for part in parts if part is not None]
-    return math.hypot(*known) if len(known) == len(parts) else None
+    return Scatter.joined(*known) if len(known) == len(parts) else None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.robust_fit import EdgeLine, crossing, fit_line, robust_fit
 from wafer_viewer.measure.edges.edge_search import (
@@ -18,8 +19,8 @@ from wafer_viewer.measure.edges.edge_search import (
     Sign,
     edges_near,
     responses,
-    root_sum_of_squares,
     scores_of,
+    sum_of_independent,
 )
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Side
@@ -181,10 +182,10 @@ class DieEdges:
         """Return the distance between opposite edges, through the centre."""
         return sum(abs(float(self.lines[side].off(*self.center))) for side in (first, second))
 
-    def u_size_um(self, first: Side, second: Side) -> float | None:
-        """Return the standard uncertainty of the size from the scatter of the points; None if unknown."""
+    def u_size_um(self, first: Side, second: Side) -> Scatter | None:
+        """Return the uncertainty of the size from the scatter of the points; None if unknown."""
         lines = (self.lines[side] for side in (first, second))
-        return root_sum_of_squares(*(line.u_um(float(line.along(*self.center))) for line in lines))
+        return sum_of_independent(*(line.u_um(float(line.along(*self.center))) for line in lines))
 
     @property
     def rotation_deg(self) -> float:
@@ -197,10 +198,10 @@ class DieEdges:
         return self._turn("left", "right", 90) - self._turn("lower", "upper", 0)
 
     @property
-    def u_angle_deg(self) -> float | None:
-        """Standard uncertainty of the squareness; that of the rotation is half of it."""
-        u = root_sum_of_squares(*(line.u_angle_deg for line in self.lines.values()))
-        return None if u is None else u / 2
+    def u_angle_deg(self) -> Scatter | None:
+        """Uncertainty of the squareness; that of the rotation is half of it."""
+        u = sum_of_independent(*(line.u_angle_deg for line in self.lines.values()))
+        return None if u is None else u.times(1 / 2)
 
     def _turn(self, first: Side, second: Side, upright_deg: float) -> float:
         return (self.lines[first].angle_deg + self.lines[second].angle_deg) / 2 + upright_deg

@@ -15,7 +15,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from wafer_viewer.measure.base.measurement_context import ABBE, LINEARITY, REPEATABILITY, TEMPERATURE, Z_SCALE
+from wafer_viewer.measure.base.correlated_errors import Scatter
+from wafer_viewer.measure.base.measurement_context import (
+    ABBE,
+    LINEARITY,
+    REPEATABILITY,
+    TEMPERATURE,
+    Z_SCALE,
+    contribution,
+)
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
@@ -24,7 +32,6 @@ from wafer_viewer.model.quantity import ROUNDING, Contribution, Length, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.normal_statistics import student
 
 OF_THE_SCALE = (Z_SCALE, LINEARITY, ABBE)
 """Lines of a step's budget that are errors of the instrument's scale."""
@@ -46,13 +53,22 @@ def budget_of(
     """Return the budget lines, standard uncertainties (k = 1); empty where a repeat has no uncertainty."""
     if any(not repeat.height.budget for repeat in repeats):
         return ()
-    lines = [*_of_scans(repeats), *_of_repeats(repeats, known), *_of_reference(certificate, terms)]
-    return tuple(GaugeLine(name=name, u_um=u_um, of=role) for name, u_um, role in lines)
+    lines: list[tuple[str, float | Scatter, Role]] = [
+        *_of_scans(repeats),
+        *_of_repeats(repeats, known),
+        *_of_reference(certificate, terms),
+    ]
+    return tuple(_gauge_line(*line) for line in lines)
+
+
+def _gauge_line(name: str, u_um: float | Scatter, of: Role) -> GaugeLine:
+    line = contribution(name, u_um)
+    return GaugeLine(**line.source, u_um=line.u_um, of=of)
 
 
 def length_of(value_um: float, lines: Sequence[GaugeLine], *roles: Role) -> Length:
     """Return a length with the lines of some roles as its budget; without U where there are none."""
-    budget = tuple(Contribution(name=line.name, u_um=line.u_um) for line in lines if line.of in roles)
+    budget = tuple(Contribution(**line.source, u_um=line.u_um) for line in lines if line.of in roles)
     return Length.evaluated(value_um, budget) if budget else Length(value_um=value_um)
 
 
@@ -77,8 +93,8 @@ def not_evaluated(
     return tuple(what for what, lacks in missing.items() if lacks)
 
 
-def _of_scans(repeats: Sequence[GaugeRepeat]) -> list[tuple[str, float, Role]]:
-    """Return the root mean square over the repeats of each line of a single scan.
+def _of_scans(repeats: Sequence[GaugeRepeat]) -> list[tuple[str, float | Scatter, Role]]:
+    """Return the root mean square over the repeats of each line of a single scan, with the least degrees of freedom.
 
     They are not divided by the number of scans: form of the faces, poses and interpolation may have the same error in
     each.
@@ -87,19 +103,22 @@ def _of_scans(repeats: Sequence[GaugeRepeat]) -> list[tuple[str, float, Role]]:
     return [(name, _rms(repeats, name), "scale" if name in OF_THE_SCALE else "measurement") for name in names]
 
 
-def _rms(repeats: Sequence[GaugeRepeat], name: str) -> float:
-    squares = [sum(line.u_um**2 for line in repeat.height.budget if line.name == name) for repeat in repeats]
-    return math.sqrt(fmean(squares))
+def _rms(repeats: Sequence[GaugeRepeat], name: str) -> float | Scatter:
+    lines = [line for repeat in repeats for line in repeat.height.budget if line.name == name]
+    u_um = math.sqrt(sum(line.u_um**2 for line in lines) / len(repeats))
+    freedoms = [line.freedom for line in lines if line.freedom is not None]
+    by_scatter = any(line.evaluation == "A" for line in lines)
+    return Scatter(u_um, min(freedoms, default=math.inf)) if by_scatter else u_um
 
 
-def _of_repeats(repeats: Sequence[GaugeRepeat], known: KnownTerms | None) -> list[tuple[str, float, Role]]:
-    """Return s / sqrt(n), widened by Student's t so that k = 2 still covers 95 % with few scans."""
+def _of_repeats(repeats: Sequence[GaugeRepeat], known: KnownTerms | None) -> list[tuple[str, Scatter, Role]]:
+    """Return s / sqrt(n) with its degrees of freedom."""
     n = len(repeats)
     own = KnownTerms(stdev(repeat.height.value_um for repeat in repeats), n - 1) if n > 1 else None
     pooled = _pooled(own, known)
     if pooled is None:
         return []
-    return [(REPEATABILITY, student(pooled.freedom) / 2 * pooled.s_um / math.sqrt(n), "measurement")]
+    return [(REPEATABILITY, Scatter(pooled.s_um / math.sqrt(n), pooled.freedom), "measurement")]
 
 
 def _pooled(own: KnownTerms | None, known: KnownTerms | None) -> KnownTerms | None:

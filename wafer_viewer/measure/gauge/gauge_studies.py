@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
+from wafer_viewer.measure.base.measurement_context import contribution
 from wafer_viewer.measure.gauge.gauge_check import KnownTerms
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import (
@@ -25,9 +27,8 @@ from wafer_viewer.model.gauge import (
     RunChart,
     Study,
 )
-from wafer_viewer.model.quantity import Contribution, Length
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import require_choice
-from wafer_viewer.numerics.normal_statistics import student
 
 # ------------------------------------------------------------------------------------------------------------ run chart
 
@@ -110,8 +111,8 @@ def drift_of(checks: Sequence[GaugeCheck]) -> Length | None:
     slope = float(away @ errors_um / (away @ away))
     left_um = errors_um - errors_um.mean() - slope * away
     freedom = len(checks) - 2
-    u = student(freedom) / 2 * math.sqrt(float(left_um @ left_um) / freedom / float(away @ away))
-    return Length.evaluated(slope, (Contribution(name="scatter of the checks", u_um=u),))
+    scatter = Scatter(math.sqrt(float(left_um @ left_um) / freedom / float(away @ away)), freedom)
+    return Length.evaluated(slope, (contribution("scatter of the checks", scatter),))
 
 
 def _scale(check: GaugeCheck) -> float | None:
@@ -157,7 +158,7 @@ def _last(points: Sequence[ChartPoint]) -> tuple[str, ...]:
 def _drifting(checks: Sequence[GaugeCheck], drift: Length | None) -> tuple[str, ...]:
     if drift is None or abs(drift.value_um) <= (drift.expanded_um or 0.0):
         return ()
-    sentence = f"The error drifts by {drift.value_um:+.2g} um per day, U = {drift.expanded_um:.1g} um per day (k = 2)"
+    sentence = f"The error drifts by {drift.value_um:+.2g} um per day, U = {drift.expanded_um:.1g} um per day (95 %)"
     limit_um, due_days = checks[-1].terms.limit_um, checks[-1].terms.interval_days
     if limit_um is None:
         return (f"{sentence}.",)

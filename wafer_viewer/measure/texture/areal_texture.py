@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import WINDOW, Z_SCALE, Lines, MeasurementContext
 from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, MOST_SIDE, NOISE, noise_lines, window_covariance
@@ -435,7 +436,7 @@ def _lines(reading: MeasurementContext, z_um: Floats, pixel_um: float, options: 
     frames = reading.frame_lines(1 / math.sqrt(2))
     return {
         name: {
-            NOISE: max(noise[name] for noise in noises),
+            NOISE: Scatter.largest(noise[name] for noise in noises),
             WINDOW: BIAS_SHARE * _lost_um(found[name], coarser[name]),
             **frames,
         }

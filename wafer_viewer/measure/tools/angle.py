@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer, level_for, require_area
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, enough_points, face_of
@@ -111,7 +112,7 @@ def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines:
     return {
         "z scale": per_scale * reading.u_z_scale,
         "pixel scale": per_scale * reading.u_pixel_scale,
-        "noise and form of the faces": math.hypot(_tilt_u_deg(a), _tilt_u_deg(b)),
+        "noise and form of the faces": Scatter.joined(_tilt_u_deg(a), _tilt_u_deg(b)),
         **reading.frame_lines(math.degrees(math.hypot(_per_height(a), _per_height(b)))),
     }
 
@@ -121,7 +122,7 @@ def _per_height(face: Face) -> float:
     return ENDS / min(float(np.ptp(face.points.x_um)), float(np.ptp(face.points.y_um)))
 
 
-def _tilt_u_deg(face: Face) -> float:
-    """Return the largest standard uncertainty of a face's tilt over directions: an angle near 0 has no direction."""
-    largest = max(face.scatter(axis).widened for axis in (ALONG_X, ALONG_Y))
-    return math.degrees(largest * math.cos(math.radians(_tilt_deg(face))))
+def _tilt_u_deg(face: Face) -> Scatter:
+    """Return the largest uncertainty of a face's tilt over directions: an angle near 0 has no direction."""
+    largest = Scatter.largest(face.scatter(axis) for axis in (ALONG_X, ALONG_Y))
+    return largest.times(math.degrees(math.cos(math.radians(_tilt_deg(face)))))

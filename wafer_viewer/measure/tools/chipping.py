@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer, points_in
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.robust_fit import EdgeLine
 from wafer_viewer.measure.edges.edge_search import (
     EdgePoints,
@@ -170,7 +171,7 @@ def chipping(
     limit = limit_um or max(BEYOND * depths.spread_um, LEAST_PX * strip.pixel_um)
     chips = depths.chips(limit)
     u_um, noise_um = edge.line.u_um(), depths.noise_um
-    u_deep = None if u_um is None else math.hypot(u_um, U_OF_MEDIAN * noise_um)
+    u_deep = None if u_um is None else Scatter.joined(u_um, U_OF_MEDIAN * noise_um)
     length_um = float(np.ptp(edge.line.along_um))
     return Chipping(
         **reading.result_fields(name, level, *notes(reading)),
@@ -249,14 +250,14 @@ def _side(strip: SearchStrip, inwards: bool) -> Side:
 
 
 def _area(
-    reading: MeasurementContext, chips: tuple[Chip, ...], u_um: float | None, noise_um: float, pixel_um: float
+    reading: MeasurementContext, chips: tuple[Chip, ...], u_um: Scatter | None, noise_um: float, pixel_um: float
 ) -> Quantity:
     area_um2, length_um = sum(chip.area_um2 for chip in chips), sum(chip.length_um for chip in chips)
     if u_um is None:
         return reading.quantity(area_um2, "um2", None)
-    lines = {
+    lines: Lines = {
         "pixel scale": 2 * reading.u_pixel_scale * area_um2,
-        "scatter of the edge points": math.hypot(u_um * length_um, noise_um * math.sqrt(length_um * pixel_um)),
+        "scatter of the edge points": Scatter.joined(u_um.times(length_um), noise_um * math.sqrt(length_um * pixel_um)),
     }
     return reading.quantity(area_um2, "um2", lines)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, median_filter
 
-from wafer_viewer.measure.base.correlated_errors import chain_uncertainty
+from wafer_viewer.measure.base.correlated_errors import Scatter, chain_uncertainty
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_fit import robust_fit
@@ -142,8 +142,8 @@ class RoundEdge:
     inliers: NDArray[np.bool_]
 
     @property
-    def u_radius_um(self) -> float | None:
-        """Standard uncertainty of the radius from the scatter of the points; None with too few."""
+    def u_radius_um(self) -> Scatter | None:
+        """Uncertainty of the radius from the scatter of the points; None with too few."""
         angle = self.angle[self.inliers]
         design = np.stack([np.cos(angle), np.sin(angle), np.ones(len(angle))], axis=1)
         return chain_uncertainty(design, self.off_um[self.inliers], np.array([0.0, 0.0, 1.0]))
@@ -431,7 +431,7 @@ def circle_size(
         **reading.result_fields(name, level, *notes(reading, ROUNDNESS)),
         circle=circle,
         options=CircleOptions(inside=inside),
-        diameter=between_edges(reading, 2 * edge.radius_um, strip.pixel_um, None if u_um is None else 2 * u_um),
+        diameter=between_edges(reading, 2 * edge.radius_um, strip.pixel_um, None if u_um is None else u_um.times(2)),
         radius=between_edges(reading, edge.radius_um, strip.pixel_um, u_um, 1),
         roundness=reading.length(edge.roundness_um, None),
         center=Point(x_um=x_um, y_um=y_um),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_fill_holes, find_objects, label
 from scipy.optimize import linprog
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import UNRESOLVED_NOTE, ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.base.height_samples import (
     Floats,
@@ -21,7 +22,7 @@ from wafer_viewer.measure.base.height_samples import (
     level_for,
     require_area,
 )
-from wafer_viewer.measure.base.measurement_context import WINDOW, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import WINDOW, Lines, MeasurementContext
 from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_cap, fit_plane, plane_design, robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Bump, Coplanarity
@@ -479,7 +480,7 @@ def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: fl
 def _coplanarity(reading: MeasurementContext, tops: tuple[Top, ...], fitted: FittedBump) -> Length:
     low, high = (tops[k] for k in fitted.extremes)
     apart = WeightedHeights.joined((high.top, low.top.times(-1.0)))
-    noise_um = max(top.errors.scatter(apart).widened for top in (low, high))
+    noise_um = Scatter.largest(top.errors.scatter(apart) for top in (low, high))
     u_um = np.array([top.errors.scatter(top.top).u for top in tops])
     return _length(reading, fitted.range_um, noise_um, **{SELECTION: selection_um(fitted.deviation_um, u_um)})
 
@@ -500,7 +501,7 @@ def _mean_height(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
     whole = WeightedHeights.joined(top.over_ground.times(1 / len(tops)) for top in tops)
     noisiest = max(tops, key=lambda top: top.errors.variance_um2)
     sag_um = float(np.mean([reading.sag_um(top.curvature) for top in tops]))
-    return _length(reading, mean_um, noisiest.errors.scatter(whole).widened, **{WINDOW: sag_um})
+    return _length(reading, mean_um, noisiest.errors.scatter(whole), **{WINDOW: sag_um})
 
 
 def _bump(reading: MeasurementContext, top: Top, deviation_um: float) -> Bump:
@@ -509,16 +510,16 @@ def _bump(reading: MeasurementContext, top: Top, deviation_um: float) -> Bump:
         height=_length(
             reading,
             top.height_um,
-            top.errors.scatter(top.over_ground).widened,
+            top.errors.scatter(top.over_ground),
             **{WINDOW: reading.sag_um(top.curvature)},
         ),
         diameter_um=top.diameter_um,
-        deviation=_length(reading, deviation_um, top.errors.scatter(top.top).widened),
+        deviation=_length(reading, deviation_um, top.errors.scatter(top.top)),
     )
 
 
-def _length(reading: MeasurementContext, value_um: float, noise_um: float, **more: float) -> Length:
-    lines = {
+def _length(reading: MeasurementContext, value_um: float, noise_um: Scatter, **more: float) -> Length:
+    lines: Lines = {
         "z scale": reading.u_z_scale * abs(value_um),
         "noise and form of the tops": noise_um,
         **more,

@@ -85,7 +85,7 @@ def die_size(
         options=DieOptions(die=die),
         width=width,
         height=height,
-        rotation=angle(reading, edges.rotation_deg, None if u_turn is None else u_turn / 2),
+        rotation=angle(reading, edges.rotation_deg, None if u_turn is None else u_turn.times(1 / 2)),
         squareness=angle(reading, edges.squareness_deg, u_turn),
         center=Point(x_um=x_um, y_um=y_um),
         outline=Region.polygon(*((round(x, 3), round(y, 3)) for x, y in edges.corners)),

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.measurement_context import FLATNESS, Z_SCALE, Lines, MeasurementContext
 from wafer_viewer.measure.base.pixel_noise import NOISE, noise_lines, scatter_covariance, thinned
@@ -113,7 +114,7 @@ def minimum_zone(points: HeightSamples, left_um: Floats) -> float:
     return float(found.fun) * height_um
 
 
-def _noise_um(area: Area) -> dict[str, float]:
+def _noise_um(area: Area) -> dict[str, Scatter]:
     """Return the standard uncertainties of FLTt, of the minimum zone and of FLTq due to noise; empty if unknown."""
     z_um, step = thinned(lattice_of(area))
     covariance = scatter_covariance(z_um)
@@ -129,7 +130,7 @@ def _noise_um(area: Area) -> dict[str, float]:
     return {} if covariance is None else noise_lines(evaluate, z_um, covariance, ("t", "zone"))
 
 
-def _lines(reading: MeasurementContext, value_um: float, noise_um: float | None) -> Lines | None:
+def _lines(reading: MeasurementContext, value_um: float, noise_um: Scatter | None) -> Lines | None:
     if noise_um is None:
         return None
     calibration = reading.surface.provenance.calibration

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_fit import angle_between_lines
@@ -21,8 +22,8 @@ from wafer_viewer.measure.edges.edge_search import (
     notes,
     read_strip,
     require_rectangle,
-    root_sum_of_squares,
     scores_of,
+    sum_of_independent,
 )
 from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, no_edge
 from wafer_viewer.model.errors import MeasureError
@@ -59,10 +60,10 @@ class KerfEdges:
         return sum(abs(float(edge.line.off(*self._middle))) for edge in (self.first, self.second))
 
     @property
-    def u_um(self) -> float | None:
-        """Standard uncertainty of the width from the scatter of both edges' points; None if unknown."""
+    def u_um(self) -> Scatter | None:
+        """Uncertainty of the width from the scatter of both edges' points; None if unknown."""
         lines = (self.first.line, self.second.line)
-        return root_sum_of_squares(*(line.u_um(float(line.along(*self._middle))) for line in lines))
+        return sum_of_independent(*(line.u_um(float(line.along(*self._middle))) for line in lines))
 
     @property
     def angle_deg(self) -> float:
@@ -144,7 +145,7 @@ def kerf_width(
     strip, level = read_strip(surface, region, "a kerf width")
     edges = kerf_edges(strip, SIGNS[kerf])
     lowest, highest = edges.extremes_um
-    u_angle = root_sum_of_squares(edges.first.line.u_angle_deg, edges.second.line.u_angle_deg)
+    u_angle = sum_of_independent(edges.first.line.u_angle_deg, edges.second.line.u_angle_deg)
     return KerfWidth(
         **reading.result_fields(name, level, *notes(reading, EXTREMES)),
         region=region,

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import WeightedHeights, errors_of
 from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, points_in
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext, combined, times
 from wafer_viewer.measure.base.robust_fit import fit_plane, plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Distance, PointHeight
@@ -42,7 +43,7 @@ class Spot:
     x_um: float
     y_um: float
     z_um: float
-    noise_um: float | None
+    noise_um: Scatter | None
     points: int
 
 
@@ -151,9 +152,7 @@ def distance(
     across: Lines = reading.lateral_lines(lateral_um)
     along = _lines_along_z(reading, a, b)
     space_um = math.hypot(lateral_um, dz_um)
-    steepest_um = abs(dz_um) + math.hypot(
-        *(along or {}).values()
-    )  # on level ground the effect of errors of dz is quadratic
+    steepest_um = abs(dz_um) + combined((along or {}).values())  # on level ground errors of dz act by their square
     return Distance(
         **reading.result_fields(name, 0, *reading.not_in_budget(by_hand)),
         start=start,
@@ -203,10 +202,11 @@ def _peak_noise_um(reading: MeasurementContext, pixel: HeightMap) -> float | Non
     return math.sqrt(max(0.0, u_um**2 - of_frames_um**2))
 
 
-def _at_least(scatter_um: float | None, peak_um: float | None) -> float | None:
+def _at_least(scatter_um: Scatter | None, peak_um: float | None) -> Scatter | None:
     """Return the larger one: the scatter of a rough area may miss a faint place, and a small area has none."""
-    known = [u_um for u_um in (scatter_um, peak_um) if u_um is not None]
-    return max(known) if known else None
+    peak = None if peak_um is None else Scatter(peak_um, math.inf)
+    known = [scatter for scatter in (scatter_um, peak) if scatter is not None]
+    return Scatter.largest(known) if known else None
 
 
 def _reach_px(reading: MeasurementContext) -> int:
@@ -214,8 +214,8 @@ def _reach_px(reading: MeasurementContext) -> int:
     return NOISE_WINDOWS * (UNKNOWN_WINDOW if window == "auto" else window)
 
 
-def _noise_um(reading: MeasurementContext, near: HeightSamples, adjacent: NDArray[np.bool_]) -> float | None:
-    """Return the standard uncertainty of the median of adjacent heights, by the scatter about a plane of those near.
+def _noise_um(reading: MeasurementContext, near: HeightSamples, adjacent: NDArray[np.bool_]) -> Scatter | None:
+    """Return the uncertainty of the median of adjacent heights, by the scatter about a plane of those near.
 
     Errors that are alike over much of the area are few independent ones: the plane takes a share of their scatter, and
     what is left is widened by Student's t. Outliers do not count.
@@ -229,7 +229,7 @@ def _noise_um(reading: MeasurementContext, near: HeightSamples, adjacent: NDArra
     each = near.select(adjacent)
     mean = errors.scatter(WeightedHeights.of(each, np.full(len(each), 1 / len(each))))
     single = errors.scatter(WeightedHeights.of(each.select(np.arange(len(each)) == 0), np.ones(1)))
-    return min(math.sqrt(MEDIAN_OF_NORMAL) * mean.widened, single.widened)
+    return min((mean.times(math.sqrt(MEDIAN_OF_NORMAL)), single), key=lambda scatter: scatter.expanded)
 
 
 def _lines(reading: MeasurementContext, spot: Spot) -> Lines | None:
@@ -247,7 +247,7 @@ def _lines_along_z(reading: MeasurementContext, a: Spot, b: Spot) -> Lines | Non
         return None
     return {
         "z scale": reading.u_z_scale * abs(b.z_um - a.z_um),
-        "noise and form round the points": math.hypot(a.noise_um, b.noise_um),
+        "noise and form round the points": Scatter.joined(a.noise_um, b.noise_um),
         **reading.frame_lines(),
     }
 
@@ -256,4 +256,5 @@ def _joined(across: Lines, along: Lines | None, per_lateral: float, per_dz: floa
     """Return the budget lines of a quantity that depends on both, with its sensitivity coefficients."""
     if along is None:
         return None
-    return {n: abs(per_lateral) * u for n, u in across.items()} | {n: abs(per_dz) * u for n, u in along.items()}
+    parts = ((per_lateral, across), (per_dz, along))
+    return {name: times(u, factor) for factor, lines in parts for name, u in lines.items()}

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in
 from wafer_viewer.measure.base.measurement_context import WINDOW, Lines, MeasurementContext
@@ -219,7 +220,7 @@ def _radius_lines(
     return {
         "z scale": reading.u_z_scale * cap.radius_um,
         "pixel scale": 2 * reading.u_pixel_scale * cap.radius_um,
-        "noise and form of the cap": _noise(reading, curvature, errors) * cap.radius_um**2,
+        "noise and form of the cap": _noise(reading, curvature, errors).times(cap.radius_um**2),
         WINDOW: SHRINKS * reading.sag_um(cap.curvature),
         **reading.frame_lines(cap.radius_um / cap_um),
     }
@@ -233,12 +234,12 @@ def _top_lines(
     return {
         "z scale": reading.u_z_scale * abs(_top_um(cap, around.plane)),
         "noise and form of the cap": _noise(reading, apex, errors),
-        "noise and form of the surroundings": around.scatter(ground).widened,
+        "noise and form of the surroundings": around.scatter(ground),
         WINDOW: reading.sag_um(cap.curvature),
         **reading.frame_lines(),
     }
 
 
-def _noise(reading: MeasurementContext, heights: WeightedHeights, errors: ErrorCovariance) -> float:
-    """Return the standard uncertainty of a sum over the points of the cap by their scatter and their own noise."""
+def _noise(reading: MeasurementContext, heights: WeightedHeights, errors: ErrorCovariance) -> Scatter:
+    """Return the uncertainty of a sum over the points of the cap by their scatter and their own noise."""
     return noise_um(errors.scatter(heights), pixel_noise_um(reading, heights))

@@ -32,6 +32,7 @@ from wafer_viewer.measure.base.measurement_context import (
     Budget,
     Lines,
     MeasurementContext,
+    combined,
     step_budget,
 )
 from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
@@ -433,7 +434,7 @@ def _levelling_um(faces: StepFaces, h: LinearFunctional) -> float:
     over_upper, over_lower = gradients(faces, "upper_face"), gradients(faces, "lower_face")
     from_upper_um, from_lower_um = over_upper.minus(h).value(faces), over_lower.minus(h).value(faces)
     apart = over_lower.minus(over_upper)
-    by_noise_um = 2 * apart.scatter(faces).widened
+    by_noise_um = apart.scatter(faces).expanded
     tilted = 1 - (by_noise_um / max(abs(apart.value(faces)), by_noise_um, 1e-12)) ** 2
     return math.sqrt(tilted * (from_upper_um**2 + from_upper_um * from_lower_um + from_lower_um**2) / 3)
 
@@ -454,7 +455,7 @@ def _tilt(reading: MeasurementContext, faces: StepFaces) -> Quantity:
     if reading.calibrated:
         poses = [poses_u_um(reading.surface, pose_sensitivities(faces, slope)) for slope in tilts(faces)]
         lines = {
-            NOISE: 1e3 * max(slope.scatter(faces).widened for slope in tilts(faces)),
+            NOISE: Scatter.largest(slope.scatter(faces) for slope in tilts(faces)).times(1e3),
             "z scale": reading.u_z_scale * _tilt_mrad(faces),
             "pixel scale": reading.u_pixel_scale * _tilt_mrad(faces),
             **({POSES: 1e3 * max(u for u in poses if u is not None)} if None not in poses else {}),
@@ -476,8 +477,8 @@ def _other_definitions(faces: StepFaces) -> tuple[str, ...]:
 def _tilted_faces(budget: Budget | None, tilt: Quantity) -> tuple[str, ...]:
     """Return a note where levelling is most of U: parallel faces look tilted if a region holds several levels."""
     lines = dict(budget.lines) if budget is not None else {}
-    levelling_um = lines.pop(LEVELLING, 0.0)
-    if levelling_um <= math.hypot(*lines.values()):
+    levelling_um = combined([lines.pop(LEVELLING, 0.0)])
+    if levelling_um <= combined(lines.values()):
         return ()
     return (
         f"Most of U is levelling: the faces are tilted by {tilt.value:.1f} mrad against each other. If they should be "

@@ -426,7 +426,7 @@ def _budget(
     weight = plan.times * fitted.weights
     of_points = {
         NOISE: noise_um(
-            Scatter(plan.times * scatter.u, scatter.freedom),
+            scatter.times(plan.times),
             pixel_noise_um(reading, _of_pixels(reading, line, fitted, weight)),
         ),
         POSES: poses_u_um(reading.surface, PoseSensitivities(fitted.x_um, fitted.y_um, weight)),

@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
@@ -143,15 +144,15 @@ def _border(reading: MeasurementContext, area: Area, region: Region) -> Face:
     return face_of(reading, area.level, points)
 
 
-def _noise_um3(reading: MeasurementContext, border: Face, area: Area) -> float:
-    """Return the standard uncertainty of the volume: that of all heights less that of the plane under them."""
+def _noise_um3(reading: MeasurementContext, border: Face, area: Area) -> Scatter:
+    """Return the uncertainty of the volume: that of all heights less that of the plane under them."""
     pixel_um2, n = area.pixel_um**2, len(area.points)
     gradient = plane_design(area.points, (border.plane.x_um, border.plane.y_um)).sum(axis=0)
     plane = WeightedHeights.of_fit(border.points, border.design, gradient)
     whole = WeightedHeights.of(area.points, np.ones(n))
     over = WeightedHeights.joined((whole, plane.times(-1.0)))
     of_pixels_um = 0.0 if area.level else pixel_noise_um(reading, over)
-    return pixel_um2 * noise_um(border.errors.scatter(over), of_pixels_um)
+    return noise_um(border.errors.scatter(over), of_pixels_um).times(pixel_um2)
 
 
 def _hidden(area: Area, region: Region, over: Floats) -> Floats:
@@ -202,7 +203,7 @@ class VolumeSide:
 
 
 def _side(
-    reading: MeasurementContext, area: Area, rises: Floats, hidden: Floats, within_um: float, noise_um3: float | None
+    reading: MeasurementContext, area: Area, rises: Floats, hidden: Floats, within_um: float, noise_um3: Scatter | None
 ) -> VolumeSide:
     """Return volume and area where `rises` are positive; pixels within the noise count on the larger side.
 
@@ -218,7 +219,7 @@ def _side(
 
 
 def _lines(
-    reading: MeasurementContext, um3: float, um2: float, hidden_um3: float, noise_um3: float | None
+    reading: MeasurementContext, um3: float, um2: float, hidden_um3: float, noise_um3: Scatter | None
 ) -> Lines | None:
     if noise_um3 is None:
         return None

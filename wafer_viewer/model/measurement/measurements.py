@@ -26,7 +26,7 @@ from wafer_viewer.model.measurement.tool_options import (
     StepOptions,
     TextureOptions,
 )
-from wafer_viewer.model.quantity import COVERAGE_FACTOR, Length, Quantity
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec
 
@@ -82,7 +82,7 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
 
     def __repr__(self) -> str:
         main, others = self.main_field, [name for name in self.quantities if name != self.main_field]
-        k = f" (k = {COVERAGE_FACTOR:g})" if self.u is not None else f" ({self.main.status})"
+        k = f" ({self.main.k_text})" if self.u is not None else f" ({self.main.status})"
         about = [f"{len(self.notes)} notes" if self.notes else "", "simulated" if self.simulated else ""]
         lines = [
             f"{type(self).__name__}: {self._words(main)}{k}",
@@ -100,7 +100,7 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
         return self.main.u
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all fields as plain Python values; quantities with unit, standard and expanded uncertainty and k."""
+        """Return all fields as plain Python values; quantities as `Quantity.to_dict` returns them."""
         return msgspec.to_builtins(self) | {name: each.to_dict() for name, each in self.quantities.items()}
 
     def to_frame(self) -> Any:
@@ -110,7 +110,7 @@ class MeasurementResult(Spec, frozen=True, kw_only=True):
         except ImportError as missing:
             raise MeasureError("Data frames need pandas, which is not installed: pip install pandas.") from missing
         rows = {name: each.to_dict() | {"name": self.name} for name, each in self.quantities.items()}
-        columns = ["name", "value", "unit", "u", "k", "expanded", "status"]
+        columns = ["name", "value", "unit", "u", "k", "freedom", "expanded", "status"]
         return pandas.DataFrame.from_dict(rows, orient="index")[columns].rename_axis("quantity")
 
     @property

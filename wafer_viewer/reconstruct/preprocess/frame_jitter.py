@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
+from wafer_viewer.model.quantity import coverage_factor
 from wafer_viewer.model.surface.frame_health import gap_u_um
-from wafer_viewer.numerics.normal_statistics import student
 from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, read_part
 
 # ----------------------------------------------------------------------------------------------------------- frame gaps
@@ -159,7 +159,7 @@ class FrameJitter:
     @property
     def widened_um(self) -> float:
         """Standard deviation widened by Student's t, so that k = 2 covers 95.45 % with few frames."""
-        return self.sigma_um * student(self.freedom) / 2 if self.sigma_um > 0 else 0.0
+        return self.sigma_um * coverage_factor(self.freedom) / 2 if self.sigma_um > 0 else 0.0
 
 
 UNSEEN = FrameJitter(0.0, math.inf)

@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.calibration import PIXEL_STEP_FRACTION
+from wafer_viewer.model.quantity import coverage_factor
 from wafer_viewer.model.surface.field_poses import Numbers, RejectionReason, Shifts
 from wafer_viewer.model.surface.height_map import Outline
 from wafer_viewer.numerics.block_sums import REACH
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, student
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.registration.picture_match import MATCH_ACCEPTANCE, is_bent
 
 LEAST_ALIKE = 6
@@ -154,7 +155,7 @@ def _median(values: Numbers, u: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         return np.zeros(k), np.zeros(k), np.full(k, np.inf)
     middle = np.median(values, axis=0)
     scatter = MAD_TO_SIGMA * np.median(np.abs(values - middle), axis=0)
-    widened = _MEDIAN_U * student(n - 1) / 2 / np.sqrt(n)
+    widened = _MEDIAN_U * coverage_factor(n - 1) / 2 / np.sqrt(n)
     return middle, scatter, widened * np.maximum(scatter, np.median(u, axis=0))
 
 

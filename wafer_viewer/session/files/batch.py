@@ -174,7 +174,7 @@ def _worked_on(path: Path, work: Work) -> dict[str, Any]:
 
 
 def columns_of(found: Any) -> dict[str, Any]:
-    """Return numbers and texts of a result as columns: a quantity gives its value, with its unit, and U (k = 2)."""
+    """Return numbers and texts of a result as columns: a quantity gives its value, with its unit, and U (95 %)."""
     known = msgspec.to_builtins(found)
     columns: dict[str, Any] = {}
     for key, value in known.items() if isinstance(known, dict) else ():

@@ -70,7 +70,7 @@ def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
     if finding.main.budget:
         return finding.main.budget
     lines: Any = getattr(finding, "budget", ())
-    return tuple(BudgetLine(name=line.name, u=line.u_um) for line in lines)
+    return tuple(line.general for line in lines)
 
 
 def not_evaluated(finding: AnyResult) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -28,7 +29,7 @@ from wafer_viewer.model.measurement.feature import DecisionRule
 from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.measurement.sections import SectionRequest
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.model.quantity import COVERAGE_FACTOR, BudgetLine, Quantity
+from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Sheet, Table
 from wafer_viewer.model.roles import AuditEntry
@@ -51,8 +52,8 @@ from wafer_viewer.store.io.guarded_reading import require_pixels
 
 MOST_SHEETS, MOST_PROFILES = 60, 24
 """Maximum numbers of result sheets and profiles; further results are in the table only, to limit the report's size."""
-RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
-FEATURE_HEADS = ("No.", "Feature", "Limits", "Value, k = 2", "Word", "Judgement")
+RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value ± U, 95 %", "x, y of the stage, µm", "Judgement")
+FEATURE_HEADS = ("No.", "Feature", "Limits", "Value ± U, 95 %", "Word", "Judgement")
 AUDIT_HEADS = ("Time, UTC", "Who", "Through", "Action", "Details")
 GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
 
@@ -99,7 +100,7 @@ def conformity(judged: WaferVerdict) -> Iterator[str]:
 
 
 RULES: dict[DecisionRule, str] = {
-    "guard_band": "the expanded uncertainty U (k = 2, about 95 %) is taken off every limit (ISO 14253-1).",
+    "guard_band": "the expanded uncertainty U (about 95 %) is taken off every limit (ISO 14253-1).",
     "simple_acceptance": "a value within its limits conforms, whatever its U (simple acceptance).",
 }
 
@@ -169,18 +170,36 @@ def _sheet(material: Material, finding: AnyResult) -> Sheet:
 
 
 def budget_table(lines: tuple[BudgetLine, ...], quantity: Quantity) -> Table | None:
-    """Return contributions in the display unit, with their share of the variance, the largest first; None if empty."""
+    """Return contributions in the display unit, the largest first, then the totals; None if empty.
+
+    Each has its type of evaluation, distribution, degrees of freedom and share of the variance.
+    """
     read = display_unit(quantity)
     variance = sum(line.u**2 for line in lines)
     if not variance:
         return None
     ordered = sorted(lines, key=lambda line: -line.u)
-    rows = [(line.name, _two_figures(line.u * read.factor), share(line.u**2 / variance)) for line in ordered]
-    totals = [
-        (words, _two_figures(k * variance**0.5 * read.factor), "")
-        for words, k in (("combined, k = 1", 1.0), (f"expanded, k = {COVERAGE_FACTOR:g}", COVERAGE_FACTOR))
+    rows = [
+        (
+            line.name,
+            f"{line.evaluation}, {line.distribution}",
+            _freedom(line.freedom),
+            _two_figures(line.u * read.factor),
+            share(line.u**2 / variance),
+        )
+        for line in ordered
     ]
-    return Table(("Contribution", f"u, {read.unit}", "of u²"), (*rows, *totals), " nn")
+    combined = variance**0.5 * read.factor
+    totals = [
+        ("combined, k = 1", "", _freedom(quantity.freedom), _two_figures(combined), ""),
+        (f"expanded, {quantity.k_text}", "", "", _two_figures(quantity.k * combined), ""),
+    ]
+    return Table(("Contribution", "Type", "Freedom", f"u, {read.unit}", "of u²"), (*rows, *totals), "  nnn")
+
+
+def _freedom(freedom: float | None) -> str:
+    """Return degrees of freedom, whole as they are rounded down in tables."""
+    return "∞" if freedom is None else number(math.floor(freedom), 0)
 
 
 def _two_figures(u: float) -> str:
@@ -329,7 +348,7 @@ MOST_ROWS, MOST_PICTURES = 40, 12
 The report gives the number of omitted ones, which the CSV and KLARF contain.
 """
 REFERENCES = {"dies": "the median of its dies", "golden": "a stored golden die", "form": "the fitted form"}
-HEADS = ("No.", "Class", "Die", "Height, k = 2", "Length", "x, y of the stage, µm", "Judgement")
+HEADS = ("No.", "Class", "Die", "Height ± U, 95 %", "Length", "x, y of the stage, µm", "Judgement")
 
 
 def defects(material: Material) -> ReportSection:

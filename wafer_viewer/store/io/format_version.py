@@ -7,7 +7,8 @@ from `OLDEST` on is read:
   and tags of frames, no provisional passes, and 0 for a size of the sample that is not given.
 - 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has. Heights do not say
   whether an import made up the positions of their fields.
-- 3: textures have no volumes and no choice of slopes, roughness neither slopes nor a core.
+- 3: textures have no volumes and no choice of slopes, roughness neither slopes nor a core. Lines of a budget have no
+  type, distribution and degrees of freedom: Student's t is in their standard uncertainty.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def _harmless(cell: object) -> object:
 
 
 def findings_csv(findings: MeasurementResults) -> str:
-    """Return the table; U is expanded (k = 2). x_um, y_um: centre of the first region; show 0: entire surface."""
+    """Return the table; U is expanded (95 %). x_um, y_um: centre of the first region; show 0: entire surface."""
     text = io.StringIO()
     table = TableWriter(text)
     table.writerow(RESULT_COLUMNS)
@@ -93,7 +93,7 @@ def _cells(row: Row, name: str) -> list[object]:
     if not isinstance(row.value, Quantity):
         return [name, f"{row.value:.6g}", "", row.unit or "1", "", ""]
     value, expanded = row.value, row.value.expanded
-    u, k = ("", "") if expanded is None else (f"{expanded:.2g}", 2)
+    u, k = ("", "") if expanded is None else (f"{expanded:.2g}", f"{value.k:.3g}")
     return [name, f"{value.value:.6g}", u, value.unit, k, value.status]
 
 
@@ -119,7 +119,7 @@ DEFECT_COLUMNS = (
 
 
 def defects_csv(inspection: Inspection) -> str:
-    """Return the table; U is expanded (k = 2), empty if not evaluated.
+    """Return the table; U is expanded (95 %), empty if not evaluated.
 
     x_um, y_um are stage coordinates; u_um, v_um are relative to the lower left corner of the die. Heights are empty for
     unmeasured areas, lateral sizes where they are not resolved.
