@@ -42,6 +42,7 @@ def measure_gauge(
     temperature_c: Value = None,
     tolerance_um: Value = None,
     interval_days: int = 30,
+    least_repeats: int = 1,
     sign: Text = None,
     log: Annotated[Path | None, arg(metavar="FOLDER")] = None,
     serial: Serials = (),
@@ -63,6 +64,7 @@ def measure_gauge(
         temperature_c: Of the blocks, known to 0.5 (k = 1).
         tolerance_um: The product's, upper limit less lower: Cg and Cgk are evaluated over all scans so far.
         interval_days: Days until the next check is due.
+        least_repeats: Scans that a verdict takes; fewer get none.
         sign: Who signs: the check goes to the log and into the results of the last SRC.
         log: The folder of gauge-checks.jsonl; that of the first SRC by default.
         serial: Of the history, the checks with these blocks alone.
@@ -73,7 +75,11 @@ def measure_gauge(
     from wafer_viewer.session.gauge.headless import check_sources, history, sign_sources
 
     terms = GaugeTerms(
-        limit_um=limit_um, temperature_c=temperature_c, tolerance_um=tolerance_um, interval_days=interval_days
+        limit_um=limit_um,
+        temperature_c=temperature_c,
+        tolerance_um=tolerance_um,
+        interval_days=interval_days,
+        least_repeats=least_repeats,
     )
     if not src:
         if log is None:

@@ -16,7 +16,7 @@ from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
 from wafer_viewer.model.quantity import Contribution, Length, Unit, Word
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Setting, Spec, Within
+from wafer_viewer.model.spec import Count, Fraction, NonNegative, Positive, Setting, Spec, Within
 
 Grade = Literal["K", "0", "1", "2"]
 VARIATION_UM: dict[Grade, float] = {"K": 0.05, "0": 0.10, "1": 0.16, "2": 0.30}
@@ -133,7 +133,8 @@ class Certificate(Spec, frozen=True, kw_only=True):
 class GaugeTerms(Spec, frozen=True, kw_only=True):
     """Conditions of a check: largest permitted error, temperature of the blocks, tolerance of the product.
 
-    interval_days: days until the next check is due. None: not given, and whatever depends on it is not evaluated.
+    interval_days: days until the next check is due; least_repeats: fewer scans get no verdict. None: not given, and
+    whatever depends on it is not evaluated.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -144,6 +145,7 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
     u_temperature_c: NonNegative = 0.5
     tolerance_um: Annotated[Positive | None, Setting("Tolerance, µm", "Upper limit less lower of the product")] = None
     interval_days: Annotated[int, Within(1, 3660), Setting("Next in, days", "Days until the next check is due")] = 30
+    least_repeats: Annotated[Count, Setting("Least scans", "Scans of the blocks that a verdict takes")] = 1
 
 
 class GaugeRepeat(Spec, frozen=True, kw_only=True):

@@ -9,7 +9,15 @@ import pytest
 
 from tests.support.gauge_repeats import CALIBRATION, LOWER, UPPER, certificate, repeat, repeats
 from tests.support.surfaces import gauge_blocks, surface_of
-from wafer_viewer.measure.gauge.gauge_check import KnownTerms, en, gauge_check, gauge_repeat, judge_error, refusal
+from wafer_viewer.measure.gauge.gauge_check import (
+    KnownTerms,
+    contradiction,
+    en,
+    gauge_check,
+    gauge_repeat,
+    judge_error,
+    refusal,
+)
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.quantity import Length
@@ -65,6 +73,26 @@ def test_the_guard_band_by_hand(error, u, word):
 def test_neither_without_a_limit_nor_without_an_uncertainty_is_there_a_verdict():
     assert judge_error(length(0.0, 0.1), None)[0] == "no verdict"
     assert judge_error(Length(value_um=0.0), 0.5)[0] == "no verdict"
+
+
+def test_a_pass_of_one_scan_says_that_repeatability_is_not_known():
+    (one, two) = (
+        gauge_check(repeats(*at), certificate(), GaugeTerms(limit_um=1.0)) for at in ((400.0,), (400.0, 400.01))
+    )
+    assert (one.verdict, two.verdict) == ("pass", "pass")
+    assert one.why.endswith("Repeatability is not known: it takes two scans.")
+    assert "Repeatability" not in two.why
+
+
+def test_fewer_scans_than_asked_for_get_no_verdict():
+    terms = GaugeTerms(limit_um=1.0, least_repeats=3)
+    short, enough = (
+        gauge_check(repeats(400.0), certificate(), terms),
+        gauge_check(repeats(400.0, 400.0, 400.01), certificate(), terms),
+    )
+    assert (short.verdict, enough.verdict) == ("no verdict", "pass")
+    assert short.why == "A verdict takes 3 scans: add 2 more scans of the blocks."
+    assert contradiction(short) is None
 
 
 def test_the_error_leaves_the_z_scale_out_and_u_of_x_the_certificate():

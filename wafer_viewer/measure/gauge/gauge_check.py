@@ -295,7 +295,7 @@ def gauge_check(
     x = length_of(mean_um, lines, "scale", "measurement")
     reference = length_of(reference_um, lines, "reference")
     deviation = length_of(mean_um - reference_um, lines, "measurement", "reference")
-    verdict, why = judge_error(deviation, terms.limit_um)
+    verdict, why = judge_check(deviation, terms, len(repeats))
     score = en(x, reference)
     return GaugeCheck(
         certificate=certificate,
@@ -337,7 +337,7 @@ def contradiction(check: GaugeCheck) -> str | None:
     for name, length in derived.items():
         if not _agree(length, stored[name]):
             return f"the {name} is said to be {_text(stored[name])}, and is {_text(length)} by its repeats and budget"
-    word, _ = judge_error(check.deviation, check.terms.limit_um)
+    word, _ = judge_check(check.deviation, check.terms, check.n)
     if word != check.verdict:
         return f"the verdict is said to be {check.verdict}, and is {word} by the error and its limit"
     score = en(check.height, check.reference)
@@ -361,6 +361,18 @@ def en(x: Length, reference: Length) -> float | None:
         return None
     expanded_um = math.hypot(x.expanded_um, reference.expanded_um)
     return (x.value_um - reference.value_um) / expanded_um if expanded_um else None
+
+
+def judge_check(deviation: Length, terms: GaugeTerms, n: int) -> tuple[Word, str]:
+    """Return the verdict of a check of n scans, and the reason; a pass says where its U knows of no repeatability."""
+    if n < terms.least_repeats:
+        missing = terms.least_repeats - n
+        scans = "1 more scan" if missing == 1 else f"{missing} more scans"
+        return "no verdict", f"A verdict takes {terms.least_repeats} scans: add {scans} of the blocks."
+    word, why = judge_error(deviation, terms.limit_um)
+    if word == "pass" and all(line.name != REPEATABILITY for line in deviation.budget):
+        return word, f"{why} Repeatability is not known: it takes two scans."
+    return word, why
 
 
 def judge_error(deviation: Length, limit_um: float | None) -> tuple[Word, str]:

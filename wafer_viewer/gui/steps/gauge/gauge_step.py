@@ -301,7 +301,7 @@ def _terms(here: Here[CheckInputs]) -> Elements:
         page.ask(TERMS_FAILED, changed)
         return changed
 
-    fields = "limit_um", "temperature_c", "tolerance_um", "interval_days"
+    fields = "limit_um", "least_repeats", "temperature_c", "tolerance_um", "interval_days"
     return [Html(html.head("Terms")), *form(terms, put, *fields, commands=True, pause_s=PAUSE_S)]
 
 
