@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -41,13 +42,38 @@ def test_the_manuals_example(study, capsys: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.parametrize(
+    ("head", "separator", "comma"),
+    [
+        ("Part,Operator,Measurement", ",", "."),
+        ("Wafer;Operator;Height (um)", ";", ","),
+        ("sample\tinspector\treading [µm]", "\t", "."),
+    ],
+)
+def test_columns_and_separators_as_people_write_them(study, capsys, head, separator, comma):
+    lines = [separator.join(text.replace(".", comma) for text in line.split(",")) for line in LINES]
+    assert main(["measure", "rr", study(lines, head)]) == 0
+    assert json.loads(capsys.readouterr().out)["gauge_rr"] == pytest.approx(0.30237, abs=1e-5)
+
+
+def test_a_person_at_a_terminal_reads_a_table(study, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert main(["measure", "rr", study(LINES), "--tolerance", "0.5"]) == 0
+    told = capsys.readouterr().out
+    assert "NOT ACCEPTABLE: Gauge R&R is 27.9 % of the total variation and 362.8 % of the tolerance" in told
+    assert re.search(r"part x appraiser +18 +0\.358982 +0\.0199435 +0\.4337 +0\.9741", told)
+    assert "0.1729 to 0.2371" in told
+
+
+@pytest.mark.parametrize(
     ("lines", "head", "printed"),
     [
         (LINES[:-1], "part,appraiser,value", "part 10 has 2 values of C"),
         ([*LINES, "11,A,1", "11,A,1", "11,A,1"], "part,appraiser,value", "part 11 has 0 values of B"),
         ([*LINES[:-1], "10,C,high"], "part,appraiser,value", "line 92: 'high' is not a number"),
         ([*LINES[:-1], "10,C"], "part,appraiser,value", "line 92: '' is not a number"),
-        (LINES, "part,who,value", "no column appraiser"),
+        (LINES, "part,who,value", "no column appraiser, only part, who, value"),
+        (LINES, "value,appraiser,value", "no column part"),
+        (LINES, "part,appraiser,value,part", "two columns part"),
         ([], "part,appraiser,value", "no values"),
         ([line for line in LINES if line.startswith("1,")], "part,appraiser,value", "two parts"),
     ],

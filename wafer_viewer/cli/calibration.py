@@ -12,7 +12,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.arguments import File, Flag, Rectangle, Sources, Text, Um, with_flags
-from wafer_viewer.cli.output import audit, compile_for_frames, print_json, progress
+from wafer_viewer.cli.output import audit, compile_for_frames, print_json, print_study, progress, to_program
 from wafer_viewer.model.acquisition.characteristics import (
     FOCUS_RANGE_UM,
     KINDS,
@@ -131,31 +131,39 @@ def measure_rr(
     method: Method = "anova",
     tolerance: float | None = None,
     result: str = "default",
+    json: bool = False,
 ) -> None:
-    """Gauge R&R: how much of the spread of repeated measurements is the instrument's, as JSON (AIAG's MSA).
+    """Gauge R&R: how much of the spread of repeated measurements is the instrument's (AIAG's MSA).
 
     Of a table, or of repeat scans: a wafer is a part, the operator its appraiser, a scan a trial; for every feature of
     the job. Deviations are standard deviations in the unit of the values; six of them are told as a share of the
     tolerance.
 
     Args:
-        src: A table with the columns part, appraiser and value, a line for each trial; or datasets, or folders.
+        src: A table with the columns part, appraiser or operator, and value or measurement, a line for each trial; or
+            datasets, or folders.
         job: The job whose features are studied; of datasets, that of the first by default.
         method: By analysis of variance, or by average and range.
         tolerance: Upper limit less lower, in the unit of the values; of a feature, that of its limits by default.
         result: Name of the reconstruction, of datasets.
+        json: JSON on a terminal too, as into pipes and files.
     """
     from wafer_viewer.measure.gauge.gauge_studies import gauge_rr, study_rr
     from wafer_viewer.session.gauge.repeat_scans import studies_of
     from wafer_viewer.store.tables.csv_tables import read_study
 
     if len(src) == 1 and src[0].suffix.lower() == ".csv":
-        print_json(_rr_facts(gauge_rr(read_study(src[0]), method=method, tolerance=tolerance)))
+        found = gauge_rr(read_study(src[0]), method=method, tolerance=tolerance)
+        print_json(_rr_facts(found)) if to_program(json) else print_study(src[0].name, found)
         return
     studies = studies_of(src, job, result)
     with_tolerance = [study if tolerance is None else replace(study, tolerance=tolerance) for study in studies]
-    found = [(study, study_rr(study, method)) for study in with_tolerance]
-    print_json([{**msgspec.to_builtins(study), "found": _rr_facts(rr)} for study, rr in found])
+    each = [(study, study_rr(study, method)) for study in with_tolerance]
+    if to_program(json):
+        print_json([{**msgspec.to_builtins(study), "found": _rr_facts(rr)} for study, rr in each])
+        return
+    for study, rr in each:
+        print_study(f"{study.feature}, {study.unit}{', SIMULATED' if study.simulated else ''}", rr)
 
 
 def _rr_facts(found: GaugeRR) -> dict[str, Any]:
@@ -164,6 +172,9 @@ def _rr_facts(found: GaugeRR) -> dict[str, Any]:
         "share_of_variation": found.share_of_variation if found.total_variation else None,
         "share_of_tolerance": found.share_of_tolerance,
         "distinct_categories": found.distinct_categories,
+        "q_mp": found.q_mp,
+        "word": found.word,
+        "why": found.why,
     }
     return {**msgspec.to_builtins(found), **shares}
 

@@ -7,7 +7,6 @@ What is not known of the conditions is left out and then listed as not evaluated
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from wafer_viewer.cli.arguments import (
     levelling_from,
     with_flags,
 )
-from wafer_viewer.cli.output import print_json
+from wafer_viewer.cli.output import print_json, to_program
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolName
@@ -126,7 +125,7 @@ _LEVEL_HELP = "Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y
 
 def _print(found: AnyResult, field: int, json: bool) -> None:
     """Print a result: a few lines to a person at a terminal, JSON into a pipe or a file, and where it is asked for."""
-    if json or not sys.stdout.isatty():
+    if to_program(json):
         print_json(msgspec.to_builtins(replace(found, show=field)))
         return
     print(found)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.positioners import PositionerState
     from wafer_viewer.model.acquisition.procedure import FoundExposure
     from wafer_viewer.model.file_contents import FileContents
+    from wafer_viewer.model.gauge import GaugeRR
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.model.roles import Action, AuditEntry
@@ -48,6 +49,32 @@ NAMED = 20
 def print_json(facts: Any) -> None:
     """Print facts as JSON on standard output."""
     print(msgspec.json.format(msgspec.json.encode(facts), indent=2).decode())
+
+
+def to_program(json: bool) -> bool:
+    """Return whether a result is printed as JSON: into a pipe or a file, and where it is asked for."""
+    return json or not sys.stdout.isatty()
+
+
+def print_study(name: str, found: GaugeRR) -> None:
+    """Print a gauge R&R study: verdict, standard deviations with their limits, and the analysis of variance."""
+    print(f"{name}: {found.parts} parts x {found.appraisers} appraisers x {found.trials} trials, by {found.method}")
+    print(f"{(found.word or 'no verdict').upper()}: {found.why}")
+    table = Table("", "s", "95 % limits", "of total", box=None, pad_edge=False)
+    for title, s, limits in found.deviations:
+        part = f"{100 * s / found.total_variation:.1f} %" if found.total_variation else ""
+        table.add_row(title, f"{s:.4g}", "" if limits is None else f"{limits.low:.4g} to {limits.high:.4g}", part)
+    console = Console(soft_wrap=True)
+    console.print(table)
+    if found.anova:
+        table = Table("Effect", "Freedom", "Sum of squares", "Mean square", "F", "p", box=None, pad_edge=False)
+        for row in found.anova:
+            f, p = ("" if number is None else f"{number:.4g}" for number in (row.f, row.p))
+            squares = f"{row.sum_of_squares:.6g}", f"{row.mean_square:.6g}"
+            table.add_row(row.effect, str(row.freedom), *squares, f, p)
+        console.print(table)
+    for note in found.notes:
+        print(note)
 
 
 def print_plan(plan: ScanPlan) -> None:

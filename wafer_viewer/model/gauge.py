@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.measurement.result_rows import UNLISTED, Label
-from wafer_viewer.model.quantity import Contribution, Length, Unit, Word
+from wafer_viewer.model.quantity import COVERAGE_FACTOR, Contribution, Length, Unit, Word
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, Fraction, NonNegative, Positive, Setting, Spec, Within
 
@@ -280,13 +280,49 @@ class Repeats(Spec, frozen=True, kw_only=True):
         return self.s / n**0.5
 
 
+Effect = Literal["part", "appraiser", "part x appraiser", "repeatability"]
+EFFECTS: tuple[Effect, ...] = ("part", "appraiser", "part x appraiser", "repeatability")
+
+
+class AnovaRow(Spec, frozen=True, kw_only=True):
+    """A line of the analysis of variance: degrees of freedom, sum of squares, and the F test; no F without a test."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    effect: Effect
+    freedom: int
+    sum_of_squares: NonNegative
+    f: NonNegative | None = None
+    p: Fraction | None = None
+
+    @property
+    def mean_square(self) -> float:
+        """Sum of squares over its degrees of freedom; 0 without any."""
+        return self.sum_of_squares / self.freedom if self.freedom else 0.0
+
+
+class Interval(Spec, frozen=True, kw_only=True):
+    """Two-sided 95 % confidence limits of a standard deviation."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    low: NonNegative
+    high: NonNegative
+
+
+GaugeWord = Literal["acceptable", "acceptable for some uses", "not acceptable"]
+GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
+"""AIAG limits: %GRR of an acceptable and of a marginal gauge, and the least number of distinct categories."""
+Q_MP = 0.30
+"""VDA 5: largest ratio of twice the expanded uncertainty of the measuring process to the tolerance."""
+
+
 class GaugeRR(Spec, frozen=True, kw_only=True):
     """A gauge R&R study after AIAG's MSA; all deviations are standard deviations in the unit of the values.
 
     `repeatability`: equipment variation; `reproducibility`: appraiser variation, including the interaction of
-    appraisers and parts, `interaction_variation`; `gauge_rr`: both combined; `part_variation`; `total_variation`: all
-    combined. `interaction_p`: p value of the interaction (ANOVA only); only an insignificant interaction is pooled into
-    repeatability, and its variation is 0 then. Both are None where there is no interaction to test.
+    appraisers and parts, `interaction_variation`, None with one appraiser; `gauge_rr`: both combined; `part_variation`;
+    `total_variation`: all combined. `interaction_p`: p value of the interaction (ANOVA only); only an insignificant
+    interaction is pooled into repeatability, and its variation is 0 then. Both are None where there is no interaction
+    to test. anova: the table, and `repeatability_limits`, `gauge_rr_limits` and `part_limits` by it: None by range.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -295,14 +331,31 @@ class GaugeRR(Spec, frozen=True, kw_only=True):
     appraisers: int
     trials: int
     repeatability: NonNegative
-    reproducibility: NonNegative
+    reproducibility: NonNegative | None
     gauge_rr: NonNegative
     part_variation: NonNegative
     total_variation: NonNegative
     interaction_variation: NonNegative | None = None
     interaction_p: Fraction | None = None
+    repeatability_limits: Interval | None = None
+    gauge_rr_limits: Interval | None = None
+    part_limits: Interval | None = None
+    anova: tuple[AnovaRow, ...] = ()
     tolerance: Positive | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def deviations(self) -> tuple[tuple[str, float, Interval | None], ...]:
+        """Title, standard deviation and limits of all that was evaluated."""
+        each = (
+            ("Repeatability, EV", self.repeatability, self.repeatability_limits),
+            ("Reproducibility, AV", self.reproducibility, None),
+            ("of it parts with appraisers, INT", self.interaction_variation, None),
+            ("Gauge R&R", self.gauge_rr, self.gauge_rr_limits),
+            ("Part variation, PV", self.part_variation, self.part_limits),
+            ("Total variation, TV", self.total_variation, None),
+        )
+        return tuple((title, s, limits) for title, s, limits in each if s is not None)
 
     @property
     def share_of_variation(self) -> float:
@@ -315,9 +368,44 @@ class GaugeRR(Spec, frozen=True, kw_only=True):
         return 6 * self.gauge_rr / self.tolerance if self.tolerance else None
 
     @property
+    def q_mp(self) -> float | None:
+        """Twice the expanded uncertainty by gauge R&R alone, k = 2, as a fraction of the tolerance (VDA 5)."""
+        return 2 * COVERAGE_FACTOR * self.gauge_rr / self.tolerance if self.tolerance else None
+
+    @property
     def distinct_categories(self) -> int:
         """Number of distinct categories (ndc) that the gauge can resolve among these parts; 0 if none."""
         return int(1.41 * self.part_variation / self.gauge_rr) if self.gauge_rr else 0
+
+    @property
+    def word(self) -> GaugeWord | None:
+        """Verdict by AIAG's limits on the shares of variation and tolerance and on ndc; None if nothing varies."""
+        if not self.total_variation:
+            return None
+        worst = max(self.share_of_variation, self.share_of_tolerance or 0.0)
+        if worst <= GOOD and self.distinct_categories >= LEAST_CATEGORIES:
+            return "acceptable"
+        return "acceptable for some uses" if worst <= MARGINAL else "not acceptable"
+
+    @property
+    def why(self) -> str:
+        """Sentence with the numbers that the verdict goes by."""
+        if self.word is None:
+            return "All values are the same: there is nothing to compare."
+        of_tolerance, q_mp = self.share_of_tolerance, self.q_mp
+        n = self.distinct_categories
+        text = f"Gauge R&R is {_percent(self.share_of_variation)} of the total variation"
+        if of_tolerance is not None:
+            text += f" and {_percent(of_tolerance)} of the tolerance (six deviations)"
+        text += f"; {n} distinct categor{'y' if n == 1 else 'ies'}."
+        if q_mp is None:
+            return text
+        fit = "fit" if q_mp <= Q_MP else "not fit"
+        return f"{text} VDA 5: Q_MP {_percent(q_mp)}, {fit} for this tolerance (30 %), by gauge R&R alone."
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
 
 
 class ChartPoint(Spec, frozen=True, kw_only=True):

@@ -43,6 +43,51 @@ def test_the_manuals_example_by_anova():
     assert found.interaction_variation == 0.0
 
 
+def test_the_manuals_example_has_its_table_of_variance():
+    rows = {row.effect: row for row in gauge_rr(AIAG).anova}
+    assert [row.freedom for row in rows.values()] == [9, 2, 18, 60]
+    assert rows["part"].f == pytest.approx(245.614, rel=1e-4)
+    assert rows["appraiser"].f == pytest.approx(39.617, rel=1e-4)
+    assert rows["part"].mean_square == pytest.approx(9.81799, abs=1e-5)
+    assert rows["part x appraiser"].f == pytest.approx(0.434, abs=5e-4)
+    assert rows["repeatability"].f is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("together", [0.0, 0.4])
+def test_confidence_limits_cover_what_was_drawn(together: float):
+    drawn = 2.0, 0.5, together, 0.3
+    true = drawn[3], np.sqrt(drawn[1] ** 2 + together**2 + drawn[3] ** 2), drawn[0]
+    rng, covered = np.random.default_rng(11), np.zeros(3)
+    for _ in range(300):
+        each = zip(drawn, ((10, 1, 1), (1, 3, 1), (10, 3, 1), (10, 3, 3)), strict=True)
+        found = gauge_rr(sum(rng.normal(0, s, shape) for s, shape in each))
+        limits = found.repeatability_limits, found.gauge_rr_limits, found.part_limits
+        covered += [one.low <= s <= one.high for one, s in zip(limits, true, strict=True)]
+    assert (covered / 300 > 0.91).all()  # .95 less three deviations of 300 studies
+    assert (covered / 300 < 0.985).all()
+
+
+def test_limits_of_repeatability_are_those_of_chi_squared():
+    limits = gauge_rr(AIAG).repeatability_limits
+    low, high = (found * 0.199933 for found in (np.sqrt(78 / 104.316), np.sqrt(78 / 55.466)))  # 78 degrees of freedom
+    assert (limits.low, limits.high) == (pytest.approx(low, rel=1e-3), pytest.approx(high, rel=1e-3))
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "word"),
+    [(None, "acceptable for some uses"), (40.0, "acceptable for some uses"), (0.3, "not acceptable")],
+)
+def test_the_worse_of_variation_and_tolerance_gives_the_word(tolerance, word):
+    found = gauge_rr(AIAG, tolerance=tolerance)
+    assert found.word == word
+    assert ("VDA 5" in found.why) == (tolerance is not None)
+    if tolerance == 0.3:
+        assert "604.7 % of the tolerance" in found.why
+        assert found.q_mp == pytest.approx(4 * found.gauge_rr / 0.3)
+        assert "not fit for this tolerance" in found.why
+
+
 def test_the_manuals_example_by_range():
     found = gauge_rr(AIAG, method="range")
     # The manual goes on with rounded ranges: .3417 for .34167.
@@ -79,7 +124,7 @@ def test_each_spread_is_found(together: float):
 
 def test_one_appraiser_says_nothing_of_others():
     found = gauge_rr(AIAG[:, :1])
-    assert found.reproducibility == 0
+    assert found.reproducibility is None
     assert any("not evaluated" in note for note in found.notes)
     assert (found.interaction_variation, found.interaction_p) == (None, None)
 

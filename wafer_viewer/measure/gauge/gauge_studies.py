@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean, stdev, variance
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,18 +20,21 @@ from wafer_viewer.measure.base.measurement_context import contribution
 from wafer_viewer.measure.gauge.gauge_check import KnownTerms
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import (
+    EFFECTS,
+    AnovaRow,
     Capability,
     ChartPoint,
     GaugeCheck,
     GaugeRecord,
     GaugeRR,
+    Interval,
     Method,
     Repeats,
     RunChart,
     Study,
 )
 from wafer_viewer.model.quantity import Length
-from wafer_viewer.model.spec import require_choice
+from wafer_viewer.model.spec import replace, require_choice
 
 # ------------------------------------------------------------------------------------------------------------ run chart
 
@@ -229,6 +235,8 @@ K_OF_TRIALS = {2: 0.8862, 3: 0.5908, 4: 0.4857, 5: 0.4299}
 """1 / d2 by number of trials: factor from their mean range to their standard deviation."""
 K_OF_MEANS = {2: 0.7071, 3: 0.5231, 4: 0.4467, 5: 0.4030, 6: 0.3742, 7: 0.3534, 8: 0.3375, 9: 0.3249, 10: 0.3146}
 """1 / d2* of one range, by number of appraisers or parts: factor from the range of means to their deviation."""
+CONFIDENCE = 0.95
+"""Level of two-sided confidence limits."""
 ONE_APPRAISER = "One appraiser: reproducibility is not evaluated."
 
 
@@ -252,29 +260,30 @@ def gauge_rr(values: ArrayLike, *, method: Method = "anova", tolerance: float | 
     GaugeRR
         Standard deviations in the unit of `values`: repeatability, reproducibility, that of the interaction of
         appraisers and parts, which is part of reproducibility (`interaction_variation`), both combined (`gauge_rr`),
-        part variation and total variation. `interaction_p` is the p value of the interaction. The two of the
-        interaction are None by range or where there is none to test.
+        part variation and total variation; by analysis of variance also its table, and 95 % confidence limits of
+        repeatability, gauge R&R and part variation. `word` and `why` say if the gauge will do. `interaction_p` is the p
+        value of the interaction. The two of the interaction are None by range or where there is none to test.
 
     Raises
     ------
     MeasureError
-        If `values` does not have three axes; there are fewer than two parts, one appraiser or two trials; a value is
-        missing; the tolerance is not above 0; or, by range, there are more parts (10), appraisers (10) or trials (5)
-        than the tables of the manual have.
+        If `method` is neither of the two; `values` does not have three axes; there are fewer than two parts, one
+        appraiser or two trials; a value is missing; the tolerance is not above 0; or, by range, there are more parts
+        (10), appraisers (10) or trials (5) than the tables of the manual have.
     ValueError
         If `values` is no regular array of numbers.
-    KeyError
-        If `method` is neither of the two.
 
     Notes
     -----
     By analysis of variance, an interaction that is not significant at the level of 0.05 is pooled into repeatability,
     its own variation is 0 then, and a significant one counts as reproducibility. With one appraiser reproducibility is
-    not evaluated: it is 0, with a note.
+    not evaluated: it is None, with a note. Confidence limits are exact for repeatability, and modified large-sample
+    limits for sums and differences of mean squares; those cover 95 % where the interaction is not pooled too.
 
     References
     ----------
-    AIAG, Measurement Systems Analysis (MSA), 4th edition, chapter III B.
+    AIAG, Measurement Systems Analysis (MSA), 4th edition, chapter III B. Burdick, Borror, Montgomery: Design and
+    Analysis of Gauge R&R Studies, 2005 (confidence limits). VDA 5, 2021 (Q_MP).
     """
     require_choice("method", method, Method, MeasureError)
     x = _checked(values)
@@ -299,12 +308,10 @@ def study_rr(study: Study, method: Method = "anova") -> GaugeRR:
     Raises
     ------
     MeasureError
-        As `gauge_rr`: if there are fewer than two parts, one appraiser or two trials, a value is missing, or, by range,
-        there are more parts, appraisers or trials than the tables of the manual have.
+        As `gauge_rr`: if `method` is neither of the two, there are fewer than two parts, one appraiser or two trials, a
+        value is missing, or, by range, there are more parts, appraisers or trials than the tables of the manual have.
     ValueError
         If the parts were not measured equally often.
-    KeyError
-        If `method` is neither of the two.
 
     References
     ----------
@@ -351,34 +358,126 @@ def repeats_of(study: Study) -> Repeats:
 
 def _by_anova(x: Values, tolerance: float | None) -> GaugeRR:
     parts, appraisers, trials = x.shape
-    grand, of_part, of_appraiser, of_cell = x.mean(), x.mean(axis=(1, 2)), x.mean(axis=(0, 2)), x.mean(axis=2)
-    both = of_cell - of_part[:, None] - of_appraiser + grand
-    within, df_within = float(((x - of_cell[..., None]) ** 2).sum()), parts * appraisers * (trials - 1)
-    together, df_together = trials * float((both**2).sum()), (parts - 1) * (appraisers - 1)
-    p = _chance(together, df_together, within, df_within)
-    if p is None or p > ALPHA:  # the interaction of appraisers and parts is not significant
-        within, df_within, together_var = within + together, df_within + df_together, 0.0
-        base = within / df_within
-    else:
-        base = together / df_together
-        together_var = max(0.0, (base - within / df_within) / trials)
-    part_ms = appraisers * trials * float(of_part.var(ddof=1))
-    appraiser_ms = parts * trials * float(of_appraiser.var(ddof=1)) if appraisers > 1 else base
-    return _found(
+    of_part, of_appraiser, both, error = _sums_of_squares(x)
+    together = _tested(both, error)
+    p = together.p
+    pooled = p is None or p > ALPHA  # the interaction of appraisers and parts is not significant
+    repeats = _MeanSquare(*(error.plus(both) if pooled else error))
+    base = repeats if pooled else _MeanSquare(*both)
+    n = parts * trials
+    gauge = [repeats]
+    if appraisers > 1:  # other mean squares contain the error too
+        gauge = [_MeanSquare(*of_appraiser, 1 / n), repeats.times(1 - 1 / (n if pooled else trials))]
+        gauge += [] if pooled else [base.times((parts - 1) / n)]
+    part = [_MeanSquare(*of_part, 1 / (appraisers * trials)), base.times(-1 / (appraisers * trials))]
+    together_var = 0.0 if pooled else max(0.0, (base.value - repeats.value) / trials)
+    between = max(0.0, (_MeanSquare(*of_appraiser).value - base.value) / n) if appraisers > 1 else 0.0
+    found = _found(
         x,
         "anova",
         tolerance,
-        repeatability=np.sqrt(within / df_within),
-        reproducibility=np.sqrt(max(0.0, (appraiser_ms - base) / (parts * trials)) + together_var),
-        part=np.sqrt(max(0.0, (part_ms - base) / (appraisers * trials))),
+        repeatability=np.sqrt(repeats.value),
+        reproducibility=np.sqrt(between + together_var) if appraisers > 1 else None,
+        part=np.sqrt(max(0.0, sum(square.part for square in part))),
         interaction=None if p is None else (float(np.sqrt(together_var)), p),
     )
+    tests = _tested(of_part, base), _tested(of_appraiser, base), together
+    rows = zip(EFFECTS, (of_part, of_appraiser, both, error), (*tests, _Test()), strict=True)
+    return replace(
+        found,
+        anova=tuple(
+            AnovaRow(effect=effect, freedom=of.freedom, sum_of_squares=of.squares, f=test.f, p=test.p)
+            for effect, of, test in rows
+            if of.freedom
+        ),
+        repeatability_limits=_limits([repeats]),
+        gauge_rr_limits=_limits(gauge),
+        part_limits=_limits(part),
+    )
+
+
+class _Squares(NamedTuple):
+    """A sum of squares and its degrees of freedom."""
+
+    squares: float
+    freedom: int
+
+    def plus(self, other: _Squares) -> _Squares:
+        return _Squares(self.squares + other.squares, self.freedom + other.freedom)
+
+
+@dataclass(frozen=True, slots=True)
+class _MeanSquare:
+    """A sum of squares with its degrees of freedom, and the weight of its mean square in a variance."""
+
+    squares: float
+    freedom: int
+    weight: float = 1.0
+
+    @property
+    def value(self) -> float:
+        return self.squares / self.freedom if self.freedom else 0.0
+
+    @property
+    def part(self) -> float:
+        return self.weight * self.value
+
+    def times(self, weight: float) -> _MeanSquare:
+        return dataclasses.replace(self, weight=weight)
+
+    def off(self, quantile: float) -> float:
+        """Return how far its part may be off, as chi-squared is at a quantile."""
+        return self.part * (1 - self.freedom / float(stats.chi2.ppf(quantile, self.freedom)))
+
+
+class _Test(NamedTuple):
+    """F test of an effect; None where there is nothing to test."""
+
+    f: float | None = None
+    p: float | None = None
+
+
+def _sums_of_squares(x: Values) -> tuple[_Squares, _Squares, _Squares, _Squares]:
+    """Return those of `EFFECTS`."""
+    parts, appraisers, trials = x.shape
+    grand, of_part, of_appraiser, of_cell = x.mean(), x.mean(axis=(1, 2)), x.mean(axis=(0, 2)), x.mean(axis=2)
+    both = of_cell - of_part[:, None] - of_appraiser + grand
+    return (
+        _Squares(appraisers * trials * float(((of_part - grand) ** 2).sum()), parts - 1),
+        _Squares(parts * trials * float(((of_appraiser - grand) ** 2).sum()), appraisers - 1),
+        _Squares(trials * float((both**2).sum()), (parts - 1) * (appraisers - 1)),
+        _Squares(float(((x - of_cell[..., None]) ** 2).sum()), parts * appraisers * (trials - 1)),
+    )
+
+
+def _tested(effect: _Squares, base: _Squares | _MeanSquare) -> _Test:
+    """Return the F test of an effect against a base; a base that does not vary makes any effect certain."""
+    if not effect.freedom or effect.squares == base.squares == 0:
+        return _Test()
+    if base.squares == 0:
+        return _Test(p=0.0)
+    f = (effect.squares / effect.freedom) / (base.squares / base.freedom)
+    return _Test(f, float(stats.f.sf(f, effect.freedom, base.freedom)))
+
+
+def _limits(squares: Sequence[_MeanSquare]) -> Interval:
+    """Return modified large-sample limits of the root of a weighted sum of mean squares; exact for a single one.
+
+    Of a difference the limits leave out the small term of both mean squares together.
+    """
+    middle = sum(square.part for square in squares)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = (
+        math.sqrt(sum(square.off(q if square.weight > 0 else 1 - q) ** 2 for square in squares))
+        for q in (1 - tail, tail)
+    )
+    return Interval(low=math.sqrt(max(0.0, middle - low)), high=math.sqrt(max(0.0, middle + high)))
 
 
 def _by_range(x: Values, tolerance: float | None) -> GaugeRR:
     parts, appraisers, trials = x.shape
     repeatability = _factor(K_OF_TRIALS, trials, "trials") * float(np.ptp(x, axis=2).mean())
-    reproducibility = 0.0
+    reproducibility = None
     if appraisers > 1:
         spread = _factor(K_OF_MEANS, appraisers, "appraisers") * float(np.ptp(x.mean(axis=(0, 2))))
         reproducibility = np.sqrt(max(0.0, spread**2 - repeatability**2 / (parts * trials)))
@@ -397,20 +496,20 @@ def _found(
     tolerance: float | None,
     *,
     repeatability: float,
-    reproducibility: float,
+    reproducibility: float | None,
     part: float,
     interaction: tuple[float, float] | None,
 ) -> GaugeRR:
     """Return the result; interaction: its standard deviation and its p value."""
     interaction_variation, interaction_p = interaction or (None, None)
-    grr = float(np.hypot(repeatability, reproducibility))
+    grr = float(np.hypot(repeatability, reproducibility or 0.0))
     return GaugeRR(
         method=method,
         parts=x.shape[0],
         appraisers=x.shape[1],
         trials=x.shape[2],
         repeatability=float(repeatability),
-        reproducibility=float(reproducibility),
+        reproducibility=None if reproducibility is None else float(reproducibility),
         gauge_rr=grr,
         part_variation=float(part),
         total_variation=float(np.hypot(grr, part)),
@@ -419,18 +518,6 @@ def _found(
         tolerance=tolerance,
         notes=(ONE_APPRAISER,) if x.shape[1] == 1 else (),
     )
-
-
-def _chance(together: float, df_together: int, within: float, df_within: int) -> float | None:
-    """Return the p value of the interaction; None where there is none to test.
-
-    Repeats that do not differ at all make any interaction certain.
-    """
-    if df_together == 0 or within == together == 0:
-        return None
-    if within == 0:
-        return 0.0
-    return float(stats.f.sf((together / df_together) / (within / df_within), df_together, df_within))
 
 
 def _factor(table: dict[int, float], n: int, effect: str) -> float:

@@ -154,12 +154,19 @@ def _require_balanced(cells: Cells, name: str, parts: Sequence[str], appraisers:
                 )
 
 
+Values = Sequence[Sequence[Sequence[float]]]
+
+
 @dataclass(frozen=True, slots=True)
 class Studied:
-    """Result of a study of one quantity; unit None: a table's values have an unknown unit."""
+    """Result of a study of one quantity; unit None: a table's values have an unknown unit.
+
+    values: [part][appraiser][trial].
+    """
 
     name: str
     found: GaugeRR
+    values: Values
     unit: Unit | None = None
     simulated: bool = False
 
@@ -184,11 +191,14 @@ class Studies:
         path = Path(path).expanduser()
         if path.is_dir():
             return _of_scans(path, method)
-        return (Studied(path.name, gauge_rr(read_study(path), method=method, tolerance=tolerance)),)
+        values = read_study(path)
+        return (Studied(path.name, gauge_rr(values, method=method, tolerance=tolerance), values.tolist()),)
 
 
 def _of_scans(folder: Path, method: Method) -> tuple[Studied, ...]:
     from wafer_viewer.measure.gauge.gauge_studies import study_rr
 
     made = studies_of([folder])
-    return tuple(Studied(study.feature, study_rr(study, method), study.unit, study.simulated) for study in made)
+    return tuple(
+        Studied(study.feature, study_rr(study, method), study.values, study.unit, study.simulated) for study in made
+    )

@@ -225,12 +225,19 @@ def _rows(section: Section) -> list[list[str]]:
     return [["" if v != v else f"{v:.4f}" for v in row] for row in zip(*(c.tolist() for c in columns), strict=True)]
 
 
-STUDY_COLUMNS = ("part", "appraiser", "value")
-HOW = "a study has the columns part, appraiser and value, and a line for each trial"
+STUDY_COLUMNS = {
+    "part": ("part", "sample", "wafer", "die", "piece", "item", "specimen", "part number", "part no", "serial"),
+    "appraiser": ("appraiser", "operator", "inspector", "technician", "person", "name", "by"),
+    "value": ("value", "measurement", "measured", "reading", "result", "height", "response"),
+}
+"""Names of the columns of a study as people write them, without unit, in any case; the first are ours."""
+HOW = "a study has the columns part, appraiser (or operator) and value (or measurement), and a line for each trial"
 
 
 def read_study(path: Path) -> NDArray[np.float64]:
     """Read the values of a CSV file, [part, appraiser, trial]; trials in line order. Lines with # are skipped.
+
+    Columns are separated by commas, semicolons or tabs; where it is not commas, a number may have a decimal comma.
 
     Raises MeasureError when the file cannot be read, lacks a column, holds a non-number, or has unequal numbers of
     trials.
@@ -238,10 +245,10 @@ def read_study(path: Path) -> NDArray[np.float64]:
     cells: dict[tuple[str, str], list[float]] = defaultdict(list)
     for number, line in _lines(path):
         try:
-            cells[line["part"].strip(), line["appraiser"].strip()].append(float(line["value"]))
-        except (ValueError, TypeError, AttributeError) as fault:
+            cells[line["part"], line["appraiser"]].append(float(line["value"]))
+        except ValueError as fault:
             raise MeasureError(
-                f"{path.name}, line {number}: {(line.get('value') or '')[:80]!r} is not a number: correct the line."
+                f"{path.name}, line {number}: {line['value'][:80]!r} is not a number: correct the line."
             ) from fault
     if not cells:
         raise MeasureError(f"{path.name} holds no values: {HOW}.")
@@ -263,14 +270,37 @@ def _brief(name: str) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """Return number and cells of each line, the columns of a study under our names."""
     with parser_errors_as(lambda fault: MeasureError(f"{path} cannot be read{detail(fault)}: {HOW}.")):
         text = read_content(path, MeasureError).decode("utf-8-sig")
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
-        table = csv.DictReader(line for _, line in lines)
-        missing = [name for name in STUDY_COLUMNS if name not in (table.fieldnames or ())]
-        if missing:
-            raise MeasureError(f"{path.name} has no column {missing[0]}: {HOW}.")
-        return [(n, line) for (n, _), line in zip(lines[1:], table, strict=False)]
+        separator = max(",;\t", key=lines[0][1].count) if lines else ","
+        rows = list(csv.reader((line for _, line in lines), delimiter=separator))
+        columns = _study_columns(path, rows[0] if rows else [])
+        return [
+            (n, {name: _cell(row, at, separator) for name, at in columns.items()})
+            for (n, _), row in zip(lines[1:], rows[1:], strict=False)
+        ]
+
+
+def _study_columns(path: Path, heads: list[str]) -> dict[str, int]:
+    """Return the place of each column of a study. Raises MeasureError where one is missing or stands there twice."""
+    plain = [re.sub(r"[(\[].*", "", head).replace("_", " ").strip().lower() for head in heads]
+    found: dict[str, int] = {}
+    for name, words in STUDY_COLUMNS.items():
+        places = [at for word in words for at, head in enumerate(plain) if head == word]
+        if not places:
+            raise MeasureError(f"{path.name} has no column {name}, only {_brief(', '.join(heads)) or 'none'}: {HOW}.")
+        if plain.count(plain[places[0]]) > 1:
+            raise MeasureError(f"{path.name} has two columns {_brief(heads[places[0]])}: rename or remove one.")
+        found[name] = places[0]
+    return found
+
+
+def _cell(row: list[str], at: int, separator: str) -> str:
+    text = row[at].strip() if at < len(row) else ""
+    decimal_comma = separator != "," and re.fullmatch(r"[-+]?\d+,\d+", text)
+    return text.replace(",", ".") if decimal_comma else text
 
 
 def _counts(text: str) -> bool:

@@ -8,27 +8,33 @@ from collections.abc import Callable
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.draw.charts.study_charts import study_charts_html
 from wafer_viewer.draw.number_format import NOTHING, number, share
 from wafer_viewer.draw.quantities import UNIT_SIGNS
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.html import Tone
 from wafer_viewer.gui.widgets.number_field import OptionalNumber
-from wafer_viewer.model.gauge import GaugeRR, Method
+from wafer_viewer.model.gauge import GaugeRR, GaugeWord, Interval, Method
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.session.gauge.repeat_scans import Studied
 
 STUDY_FAILED = "The study was not read"
-GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
-"""AIAG limits: %GRR of an acceptable and of a marginal gauge, and the least number of distinct categories."""
+_LOOKS: dict[GaugeWord | None, tuple[Tone, str]] = {
+    "acceptable": ("good", "Acceptable"),
+    "acceptable for some uses": ("attention", "Acceptable for some uses"),
+    "not acceptable": ("fault", "Not acceptable"),
+    None: ("busy", "Nothing varies"),
+}
 METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average and range"}
 METHOD_OF: dict[str, Method] = {word.capitalize(): method for method, word in METHODS.items()}
 
 
 def study_dialog(page: Page, take: Callable[[Markup], None]) -> None:
     """Open the dialog that reads a study with a method and a tolerance; `take` gets its result."""
-    below = "A CSV with the columns part, appraiser and value, or a folder of repeat scans of wafers with a job."
+    below = "A CSV with the columns part, appraiser or operator, and value; or a folder of repeat scans with a job."
     dialog = Dialog(page, "Gauge R&R study", below)
     with dialog.modal:
         files = FileList(dialog, "study", rows=6)
@@ -44,18 +50,21 @@ def study_dialog(page: Page, take: Callable[[Markup], None]) -> None:
 
 
 def study(studied: Studied) -> Markup:
-    """Return study size, verdict by the AIAG rule, and every standard deviation with its share."""
-    study = studied.found
-    by = f"{studied.name} · {METHODS[study.method]}{' · SIMULATED' if studied.simulated else ''}"
-    notes = Markup("").join(_small(text) for text in study.notes)
-    return Markup('<div class="wv-lab" title="{by}">{by}</div>{study_size}{word}{table}{rest}{notes}').format(
-        by=by,
-        study_size=_study_size(study),
-        word=_word(study),
-        table=_table(study, studied.unit),
-        rest=_rest(study),
-        notes=notes,
+    """Return study size, verdict, every standard deviation with its limits and share, charts, and the analysis."""
+    found = studied.found
+    by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
+    notes = Markup("").join(_small(text) for text in found.notes)
+    parts = (
+        Markup('<div class="wv-lab" title="{by}">{by}</div>').format(by=by),
+        _study_size(found),
+        html.note(*_LOOKS[found.word], html.with_micro_sign(found.why)),
+        _table(found, studied.unit),
+        _rest(found),
+        notes,
+        study_charts_html(studied.values, UNIT_SIGNS[studied.unit] if studied.unit else ""),
+        _analysis(found),
     )
+    return Markup("").join(parts)
 
 
 def _study_size(study: GaugeRR) -> Markup:
@@ -64,49 +73,55 @@ def _study_size(study: GaugeRR) -> Markup:
     return Markup('<div style="margin:3px 0 4px">{}</div>').format(words)
 
 
-def _word(study: GaugeRR) -> Markup:
-    grr = study.share_of_variation
-    if math.isnan(grr):
-        return html.note("busy", "Nothing varies", "All values are the same: there is nothing to compare.")
-    text = f"Gauge R&R is {share(grr)} of the total variation; {study.distinct_categories} distinct categories."
-    if grr <= GOOD and study.distinct_categories >= LEAST_CATEGORIES:
-        return html.note("good", "Acceptable", text)
-    if grr <= MARGINAL:
-        return html.note("attention", "Acceptable for some uses", text)
-    return html.note("fault", "Not acceptable", text)
-
-
 def _table(study: GaugeRR, unit: Unit | None) -> Markup:
-    rows = (
-        ("Repeatability, EV", study.repeatability, ""),
-        ("Reproducibility, AV", study.reproducibility, ""),
-        ("of it parts with appraisers, INT", study.interaction_variation, ""),
-        ("Gauge R&R", study.gauge_rr, "strong"),
-        ("Part variation, PV", study.part_variation, ""),
-        ("Total variation, TV", study.total_variation, "strong"),
-    )
-    lines = [_variation_line(name, s, study.total_variation, look) for name, s, look in rows if s is not None]
+    lines = [_variation_line(study, *deviation) for deviation in study.deviations]
     return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
 
 
-def _variation_line(name: str, s: float, total: float, look: str) -> Markup:
-    part = s / total if total else math.nan
+def _variation_line(study: GaugeRR, title: str, s: float, limits: Interval | None) -> Markup:
+    part = s / study.total_variation if study.total_variation else math.nan
     width = 0.0 if math.isnan(part) else 100 * min(part, 1.0)
     bar = Markup('<div class="wv-rr"><i style="width:{:.1f}%"></i></div>').format(width)
-    return html.row([name, number(s, 4), share(part), bar], " nn", look=look)
+    hint = f"95 % limits {number(limits.low, 4)} to {number(limits.high, 4)}" if limits is not None else ""
+    value = Markup('<span title="{}">{}</span>').format(hint, number(s, 4))
+    look = "strong" if title in ("Gauge R&R", "Total variation, TV") else ""
+    return html.row([title, value, share(part), bar], " nn", look=look)
 
 
 def _rest(study: GaugeRR) -> Markup:
-    of_tolerance = study.share_of_tolerance
+    of_tolerance, q_mp, limits = study.share_of_tolerance, study.q_mp, study.gauge_rr_limits
     pairs = [
         ("Distinct categories", number(study.distinct_categories, 0)),
         ("6 s of the gauge, of the tolerance", NOTHING if of_tolerance is None else share(of_tolerance)),
     ]
+    if q_mp is not None:
+        pairs.append(("Q_MP of VDA 5", share(q_mp)))
+    if limits is not None:
+        pairs.append(("Gauge R&R, 95 % limits", f"{number(limits.low, 4)} to {number(limits.high, 4)}"))
     if study.interaction_p is not None:
         pairs.append(("p of parts with appraisers", number(study.interaction_p, 3)))
     return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + _small(
         "Shares are of deviations, and do not sum up to 100 %."
     )
+
+
+def _analysis(study: GaugeRR) -> Markup:
+    if not study.anova:
+        return Markup()
+    rows = [
+        html.row(
+            [
+                row.effect.replace(" x ", " × ").capitalize(),
+                number(row.freedom, 0),
+                f"{row.mean_square:.4g}",
+                NOTHING if row.f is None else number(row.f, 2),
+                NOTHING if row.p is None else number(row.p, 3),
+            ],
+            " nnnn",
+        )
+        for row in study.anova
+    ]
+    return html.head("Analysis of variance") + html.table(["", "ν", "Mean square", "F", "p"], rows, " nnnn")
 
 
 def _small(text: str) -> Markup:
