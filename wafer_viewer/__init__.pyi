@@ -14,6 +14,7 @@ from .measure.gauge.gauge_check import gauge_repeat as gauge_repeat
 from .measure.gauge.gauge_studies import gauge_rr as gauge_rr
 from .measure.gauge.gauge_studies import repeats_of as repeats_of
 from .measure.gauge.gauge_studies import study_rr as study_rr
+from .measure.gauge.process_capability import process_capability as process_capability
 from .measure.texture.areal_texture import texture as texture
 from .measure.texture.roughness import roughness as roughness
 from .measure.tools.angle import face_angle as face_angle

@@ -43,6 +43,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "measure gauge": CommandEntry(
         "calibration", "check the instrument against certified gauge blocks; history of checks"
     ),
+    "measure capability": CommandEntry("calibration", "Cp and Cpk of a column of values against its limits"),
     "measure rr": CommandEntry("calibration", "repeatability and reproducibility of repeated measurements"),
     "measure defects": CommandEntry(
         "defects", "the defects of a patterned wafer, with a status by limits for each die"

@@ -11,8 +11,16 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from wafer_viewer.cli.arguments import File, Flag, Rectangle, Sources, Text, Um, with_flags
-from wafer_viewer.cli.output import audit, compile_for_frames, print_json, print_study, progress, to_program
+from wafer_viewer.cli.arguments import File, Flag, Rectangle, Source, Sources, Text, Um, with_flags
+from wafer_viewer.cli.output import (
+    audit,
+    compile_for_frames,
+    print_capability,
+    print_json,
+    print_study,
+    progress,
+    to_program,
+)
 from wafer_viewer.model.acquisition.characteristics import (
     FOCUS_RANGE_UM,
     KINDS,
@@ -164,6 +172,35 @@ def measure_rr(
         return
     for study, rr in each:
         print_study(f"{study.feature}, {study.unit}{', SIMULATED' if study.simulated else ''}", rr)
+
+
+def measure_capability(
+    src: Source,
+    column: Annotated[str, arg(metavar="NAME")],
+    lower: float | None = None,
+    upper: float | None = None,
+    json: bool = False,
+) -> int:
+    """Process capability: Cp and Cpk of a column of values against its limits, with 95 % limits of both.
+
+    Status 0 where the lower confidence limit of Cpk is at least 1.33, else 1.
+
+    Args:
+        src: A table with a line for each part, as `batch` and `measure` write them.
+        column: The column with the values.
+        lower: The lower limit, in the unit of the values.
+        upper: The upper limit.
+        json: JSON on a terminal too, as into pipes and files.
+    """
+    from wafer_viewer.measure.gauge.process_capability import process_capability
+    from wafer_viewer.store.tables.csv_tables import read_column
+
+    found = process_capability(read_column(src, column), lower=lower, upper=upper)
+    if to_program(json):
+        print_json({**msgspec.to_builtins(found), "word": found.word})
+    else:
+        print_capability(f"{src.name}, {column}", found)
+    return 0 if found.word == "capable" else 1
 
 
 def _rr_facts(found: GaugeRR) -> dict[str, Any]:

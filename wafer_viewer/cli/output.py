@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.positioners import PositionerState
     from wafer_viewer.model.acquisition.procedure import FoundExposure
     from wafer_viewer.model.file_contents import FileContents
-    from wafer_viewer.model.gauge import GaugeRR
+    from wafer_viewer.model.gauge import GaugeRR, ProcessCapability
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.model.roles import Action, AuditEntry
@@ -54,6 +54,16 @@ def print_json(facts: Any) -> None:
 def to_program(json: bool) -> bool:
     """Return whether a result is printed as JSON: into a pipe or a file, and where it is asked for."""
     return json or not sys.stdout.isatty()
+
+
+def print_capability(name: str, found: ProcessCapability) -> None:
+    """Print Cp and Cpk with their confidence limits, and the parts beyond the limits."""
+    low, high = found.cpk_limits
+    print(f"{name}: {found.word.upper()}, Cpk {found.cpk:.2f} ({low:.2f} to {high:.2f}, 95 %)")
+    if found.cp is not None and found.cp_limits is not None:
+        print(f"  Cp {found.cp:.2f} ({found.cp_limits.low:.2f} to {found.cp_limits.high:.2f}, 95 %)")
+    print(f"  {found.n} parts, mean {found.mean:.6g}, s {found.s:.3g}")
+    print(f"  {found.beyond} beyond the limits; {1e6 * found.expected_beyond:.3g} in a million expected, if normal")
 
 
 def print_study(name: str, found: GaugeRR) -> None:

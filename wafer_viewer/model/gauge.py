@@ -452,3 +452,34 @@ class Capability(Spec, frozen=True, kw_only=True):
     capable: bool | None
     why: str
     variant: str = ""
+
+
+class ProcessCapability(Spec, frozen=True, kw_only=True):
+    """Cp and Cpk of a process against its limits, with two-sided 95 % confidence limits.
+
+    cp: None where a side is open. beyond: values outside the limits; expected_beyond: their share by a normal
+    distribution. cpk_limits may be negative, as Cpk is where the mean lies beyond a limit.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    n: int
+    mean: float
+    s: Positive
+    lower: float | None
+    upper: float | None
+    cp: Positive | None
+    cp_limits: Interval | None
+    cpk: float
+    cpk_limits: tuple[float, float]
+    beyond: int
+    expected_beyond: Fraction
+
+    @property
+    def word(self) -> Literal["capable", "not shown", "not capable"]:
+        """Verdict on Cpk against 1.33: by its confidence limits, "not shown" where they lie on both sides."""
+        low, high = self.cpk_limits
+        return "capable" if low >= CAPABLE else "not capable" if high < CAPABLE else "not shown"
+
+
+CAPABLE = 1.33
+"""Least Cpk of a capable process."""

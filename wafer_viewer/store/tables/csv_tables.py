@@ -269,18 +269,42 @@ def _brief(name: str) -> str:
     return " ".join(name.split())[:80]
 
 
+def read_column(path: Path, column: str) -> NDArray[np.float64]:
+    """Read the numbers of a column of a CSV file, [line]; empty cells are skipped, and lines with #.
+
+    Raises MeasureError when the file cannot be read, has no such column or two, or a cell is no number.
+    """
+    lines, heads, separator = _table(path, "a table has a line of column names, then a line for each part")
+    places = [at for at, head in enumerate(heads) if head.strip() == column]
+    if len(places) != 1:
+        has = "two columns" if places else "no column"
+        raise MeasureError(f"{path.name} has {has} {_brief(column)}: it has {_brief(', '.join(heads)) or 'none'}.")
+    values: list[float] = []
+    for number, row in lines:
+        if text := _cell(row, places[0], separator):
+            try:
+                values.append(float(text))
+            except ValueError as fault:
+                raise MeasureError(f"{path.name}, line {number}: {text[:80]!r} is not a number.") from fault
+    return np.array(values)
+
+
 def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
     """Return number and cells of each line, the columns of a study under our names."""
-    with parser_errors_as(lambda fault: MeasureError(f"{path} cannot be read{detail(fault)}: {HOW}.")):
+    lines, heads, separator = _table(path, HOW)
+    columns = _study_columns(path, heads)
+    return [(n, {name: _cell(row, at, separator) for name, at in columns.items()}) for n, row in lines]
+
+
+def _table(path: Path, how: str) -> tuple[list[tuple[int, list[str]]], list[str], str]:
+    """Return number and cells of each line, the names of the columns, and what separates them."""
+    with parser_errors_as(lambda fault: MeasureError(f"{path} cannot be read{detail(fault)}: {how}.")):
         text = read_content(path, MeasureError).decode("utf-8-sig")
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
         separator = max(",;\t", key=lines[0][1].count) if lines else ","
         rows = list(csv.reader((line for _, line in lines), delimiter=separator))
-        columns = _study_columns(path, rows[0] if rows else [])
-        return [
-            (n, {name: _cell(row, at, separator) for name, at in columns.items()})
-            for (n, _), row in zip(lines[1:], rows[1:], strict=False)
-        ]
+    numbered = [(n, row) for (n, _), row in zip(lines[1:], rows[1:], strict=False)]
+    return numbered, rows[0] if rows else [], separator
 
 
 def _study_columns(path: Path, heads: list[str]) -> dict[str, int]:
