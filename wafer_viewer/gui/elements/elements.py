@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from wafer_viewer.model.roles import Action
 
@@ -148,6 +150,23 @@ class NumberOrEmpty(Input):
 
     over: float | None = None
     pause_s: float | None = PAUSE_S
+
+
+@dataclass(frozen=True, slots=True)
+class Progress(Element):
+    """A progress bar."""
+
+    fraction: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Picture(Element):
+    """A picture drawn of `source`, anew when that is another object, at most once in `every_s`."""
+
+    source: Any
+    draw: Callable[[Any], NDArray[np.uint8]]
+    every_s: float = 0.0
+    jpeg_quality: int = 80
 
 
 @dataclass(frozen=True, slots=True)

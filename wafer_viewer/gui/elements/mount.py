@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
 import viser
 from markupsafe import Markup
 
@@ -123,6 +126,44 @@ class HtmlWidget:
         self._block.show("")
 
 
+class ProgressWidget:
+    """Widget of `Progress`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self._handle = gui.add_progress_bar(0.0, order=placed.order)
+
+    def show(self, element: el.Progress) -> None:
+        """Set the fraction that is done."""
+        set_prop(self._handle, "value", round(100 * element.fraction, 1))
+        set_prop(self._handle, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the bar."""
+        set_prop(self._handle, "visible", False)
+
+
+class PictureWidget:
+    """Widget of `Picture`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        blank, quality = np.zeros((3, 4, 3), np.uint8), placed.element.jpeg_quality
+        self._handle = gui.add_image(blank, format="jpeg", jpeg_quality=quality, visible=False, order=placed.order)
+        self._source: Any = None
+        self._drawn_s = -math.inf
+
+    def show(self, element: el.Picture) -> None:
+        """Draw another source."""
+        now_s = time.monotonic()
+        if element.source is not self._source and now_s - self._drawn_s > element.every_s:
+            self._source, self._drawn_s = element.source, now_s
+            self._handle.image = element.draw(element.source)
+        set_prop(self._handle, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the picture."""
+        set_prop(self._handle, "visible", False)
+
+
 class FoldWidget:
     """Widget of `Fold`."""
 
@@ -158,6 +199,7 @@ class ButtonWidget:
         """Set label and state, and the callback of the next press."""
         self._element = element
         set_prop(self.handle, "label", element.label)
+        set_prop(self.handle, "icon", element.icon)
         set_prop(self.handle, "disabled", element.disabled)
         set_prop(self.handle, "visible", True)
 
@@ -314,6 +356,8 @@ _ADD: dict[type[el.Input], Callable[[viser.GuiApi, Any, float], Any]] = {
 }
 WIDGETS: dict[type[el.Element], Callable[[viser.GuiApi, Drawn, _Placed], Widget]] = {
     el.Html: HtmlWidget,
+    el.Progress: ProgressWidget,
+    el.Picture: PictureWidget,
     el.Fold: FoldWidget,
     el.Button: ButtonWidget,
     el.Buttons: ButtonsWidget,

@@ -10,7 +10,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import verdict as words
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, set_prop
+from wafer_viewer.gui.widgets.controls import add_html, set_prop
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.session.state.snapshot import COMPILING, KernelProgress, Snapshot, Work
 
@@ -50,17 +50,6 @@ class BottomPanel:
         if width_px not in (0, self._width):
             self._width = width_px
             self._panel.set_width(width_px)
-
-
-class VerdictSection:
-    """Verdict section; empty if the job has no feature to judge."""
-
-    def __init__(self, page: Page) -> None:
-        self._cell = HtmlBlock(page.gui)
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Update the section."""
-        self._cell.show(verdict_html(snapshot))
 
 
 def unfold(*, more: bool) -> Markup:

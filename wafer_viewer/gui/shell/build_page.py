@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.acquire import AcquirePanel
 from wafer_viewer.gui.defects.die_views import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
 from wafer_viewer.gui.elements.step import Here, StepDock, StepPanel
@@ -48,6 +47,7 @@ from wafer_viewer.gui.shell.shortcuts import (
 )
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import Step, View, with_cursor
+from wafer_viewer.gui.steps.acquire import acquire_step
 from wafer_viewer.gui.steps.gauge.gauge_check import StepReadout, run_chart_dock
 from wafer_viewer.gui.steps.gauge.gauge_step import FAILED as CHECK_FAILED
 from wafer_viewer.gui.steps.gauge.gauge_step import GAUGE_PICKS, CheckInputs, gauge_commands, gauge_step
@@ -270,7 +270,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.show_first([frame, header, welcome, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.visible_um)
     plan = StepPanel(page, plan_step, PlanState(), NOT_CHANGED, PICKS)
-    acquire = AcquirePanel(page)
+    acquire = StepPanel(page, acquire_step, None, "The scan was not changed")
     live, instrument = LivePanel(page), StepPanel(page, instrument_step, None, NOT_RUN, INSTRUMENT_PICKS)
     surface = StepPanel(page, surface_step, SurfaceState(poses, scene.range_in_view, statistics), FAILED, SURFACE_PICKS)
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
@@ -337,7 +337,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here)]
     of_steps += [*gauge_commands(gauge.here), *instrument_commands(page)]
     of_parts = [command for part in with_verbs for command in part.commands()] + of_steps
-    verbs = [*of_parts, *commands_of(page, Parts(plan.here, acquire, measure.here, why.here))]
+    verbs = [*of_parts, *commands_of(page, Parts(plan.here, measure.here, why.here))]
     parts.insert(1, _palette(page, scene, verbs))
     page.on_close(scene.close)
     page.begin(parts)

@@ -15,7 +15,6 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
-from wafer_viewer.gui.acquire import RETAKE, AcquirePanel, why_not_retaken
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
@@ -45,6 +44,7 @@ from wafer_viewer.gui.page.preconditions import (
 )
 from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.state.view_state import Step, View
+from wafer_viewer.gui.steps.acquire import RETAKE, pause_or_resume, retake, why_not_retaken
 from wafer_viewer.gui.steps.measure import MeasureState, keep_result, use_tool, why_not_keep
 from wafer_viewer.gui.steps.plan import save, start, why_not_start
 from wafer_viewer.gui.steps.plan_form import PlanState
@@ -80,7 +80,6 @@ class Parts:
     """Panels whose commands have keys."""
 
     plan: Here[PlanState]
-    acquire: AcquirePanel
     measure: Here[MeasureState]
     why: Here[Explained]
 
@@ -90,7 +89,7 @@ def commands_of(page: Page, parts: Parts) -> list[Command]:
     return [
         *_going(page),
         *_planning(page, parts),
-        *_acquiring(page, parts),
+        *_acquiring(page),
         *_looking_at_surface(page, parts),
         *_measuring(page, parts),
         *_of_the_page(page, parts),
@@ -113,7 +112,7 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
 
     def scan_or_pause() -> None:
         if session.snapshot.scanning:
-            parts.acquire.pause_or_resume()
+            pause_or_resume(page)
         else:
             start(parts.plan)
 
@@ -153,7 +152,7 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
     ]
 
 
-def _acquiring(page: Page, parts: Parts) -> list[Command]:
+def _acquiring(page: Page) -> list[Command]:
     go_on = _asking(page)("The scan was not continued", page.session.continue_scan)
 
     def check() -> None:
@@ -172,7 +171,7 @@ def _acquiring(page: Page, parts: Parts) -> list[Command]:
         Command("Stop all motion", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
         Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire", why_not=no_dataset),
         Command("Check the frames", None, check, ICON.SHIELD_CHECK, group="Acquire", why_not=no_frames),
-        Command(RETAKE, None, parts.acquire.retake, ICON.REFRESH, group="Acquire", why_not=retaken),
+        Command(RETAKE, None, partial(retake, page), ICON.REFRESH, group="Acquire", why_not=retaken),
     ]
 
 
