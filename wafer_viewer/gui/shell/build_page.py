@@ -19,8 +19,6 @@ from markupsafe import Markup
 from wafer_viewer.gui.defects.die_views import DefectStack
 from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
 from wafer_viewer.gui.elements.step import Here, StepDock, StepPanel
-from wafer_viewer.gui.live.live_panel import LivePanel
-from wafer_viewer.gui.live.live_picture import LiveDock, LivePicture
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
 from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar
@@ -58,6 +56,9 @@ from wafer_viewer.gui.steps.gauge.instrument import (
     instrument_commands,
     instrument_step,
 )
+from wafer_viewer.gui.steps.live.focus_curve import CURVE_PICKS, FIRST_ENDS_UM, live_dock
+from wafer_viewer.gui.steps.live.live_picture import LivePicture
+from wafer_viewer.gui.steps.live.live_step import LIVE_PICKS, JogPad, live_commands, live_step
 from wafer_viewer.gui.steps.measure import MeasureState, measure_step, use_tool
 from wafer_viewer.gui.steps.plan import PICKS, plan_step
 from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState
@@ -271,7 +272,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     statistics = ShownStatistics(page, scene.visible_um)
     plan = StepPanel(page, plan_step, PlanState(), NOT_CHANGED, PICKS)
     acquire = StepPanel(page, acquire_step, None, "The scan was not changed")
-    live, instrument = LivePanel(page), StepPanel(page, instrument_step, None, NOT_RUN, INSTRUMENT_PICKS)
+    live = StepPanel(page, live_step, JogPad(page), "The stage did not move", LIVE_PICKS)
+    instrument = StepPanel(page, instrument_step, None, NOT_RUN, INSTRUMENT_PICKS)
     surface = StepPanel(page, surface_step, SurfaceState(poses, scene.range_in_view, statistics), FAILED, SURFACE_PICKS)
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
     gauge, review = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS), ReviewPanel(page, scene)
@@ -312,7 +314,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             StepDock(page, "gauge", run_chart_dock, None, CHECK_FAILED),
             StepDock(page, "calibration", calibration_dock, None, NOT_RUN),
             DefectDock(page),
-            LiveDock(page),
+            StepDock(page, "live", live_dock, FIRST_ENDS_UM, "The curve is not shown", CURVE_PICKS),
             LivePicture(page),
             live,
             comparison,
@@ -333,9 +335,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why.here)
     _listen_to_lines(page, scene, curves)
-    with_verbs = live, welcome, tour, review, *left.with_commands, comparison, stack
+    with_verbs = welcome, tour, review, *left.with_commands, comparison, stack
     of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here)]
-    of_steps += [*gauge_commands(gauge.here), *instrument_commands(page)]
+    of_steps += [*gauge_commands(gauge.here), *instrument_commands(page), *live_commands(page)]
     of_parts = [command for part in with_verbs for command in part.commands()] + of_steps
     verbs = [*of_parts, *commands_of(page, Parts(plan.here, measure.here, why.here))]
     parts.insert(1, _palette(page, scene, verbs))

@@ -31,7 +31,6 @@ from wafer_viewer.gui.defects.defect_dialogs import other_marks
 from wafer_viewer.gui.defects.defect_section import DefectSection
 from wafer_viewer.gui.defects.die_views import DefectMap
 from wafer_viewer.gui.elements.step import StepPanel
-from wafer_viewer.gui.live.live_places import LivePlaces
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
 from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
@@ -44,6 +43,7 @@ from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.steps.gauge.gauge_check import CHECK_PICKS, NOT_TICKED, check_list
 from wafer_viewer.gui.steps.gauge.instrument import NOT_READ, calibration_list
+from wafer_viewer.gui.steps.live.places import NOT_KEPT, PLACE_PICKS, live_places
 from wafer_viewer.gui.steps.results import NOT_CHANGED, result_list
 from wafer_viewer.gui.steps.surface.comparison import COMPARISON_PICKS, ComparisonForm, comparison_list
 from wafer_viewer.gui.widgets import html
@@ -279,7 +279,7 @@ class LeftPanel:
             with self._where:
                 self.map = FieldMap(page.gui)
             self.dies = DefectMap(page)
-            self.live = LivePlaces(page)
+            self._places = StepPanel(page, live_places, None, NOT_KEPT, PLACE_PICKS)
             self._works = HtmlBlock(page.gui)
             self._views = HtmlBlock(page.gui)
             self.defects = DefectSection(page)
@@ -317,7 +317,7 @@ class LeftPanel:
         self._gauge.show(snapshot, view)
         self._calibrations.show(snapshot, view)
         self.compare.show(snapshot, view)
-        self.live.show(snapshot, view)
+        self._places.show(snapshot, view)
         set_prop(self._datasets, "visible", view.step in ("plan", "surface") and not view.at_bench)
         self._show_datasets()
         self._results.show(snapshot, view)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,27 +12,24 @@ import pytest
 
 from tests.browser.sessions.fake_session import LIMITS, planned
 from tests.browser.sessions.live_session import HERE, POSITIONERS, a_frame, live_session
-from wafer_viewer.gui.live.live_panel import (
+from tests.gui.steps.test_steps import flat
+from wafer_viewer.gui.elements.elements import Button, Dropdown, Html, Input, NumberOrEmpty
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.live.focus_curve import FIRST_ENDS_UM, axis_ends_um, curve_html, grips_html, live_dock
+from wafer_viewer.gui.steps.live.live_picture import PictureSize, display_picture, offset_um, words_over
+from wafer_viewer.gui.steps.live.live_step import (
     ELSEWHERE,
     JogWord,
     distances_um,
+    live_step,
     next_step_um,
     pad_html,
     parse_step,
     parse_word,
-    shown_value,
+    positioner,
     words,
 )
-from wafer_viewer.gui.live.live_picture import (
-    PictureSize,
-    axis_ends_um,
-    curve_html,
-    display_picture,
-    grips_html,
-    offset_um,
-    words_over,
-)
-from wafer_viewer.gui.live.live_places import all_places, places_table, side_view
+from wafer_viewer.gui.steps.live.places import all_places, live_places, places_table, side_view
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.session.acquisition.live_controller import known_top, with_score
 from wafer_viewer.session.state.instrument_state import FocusTrace, LiveState
@@ -155,11 +154,84 @@ def test_places_are_listed_and_the_objective_is_drawn_with_its_clearance():
     assert "28.00" in drawn
 
 
+class Page:
+    """A page on the live session, whose commands are noted."""
+
+    def __init__(self) -> None:
+        self.session = live_session()
+        self.view = View(live=True)
+        self.asked: list[str] = []
+
+    def notes(self, _: Any) -> str:
+        return ""
+
+    def ask(self, failed: str, answer: Any, then: Any = None) -> None:
+        self.asked.append(failed)
+
+    def change(self, **choices: Any) -> None:
+        self.view = replace(self.view, **choices)
+
+
+def shown(step: Any, page: Page, own: Any = None, **changes: Any) -> list[Any]:
+    here: Any = SimpleNamespace(snapshot=replace(page.session.snapshot, **changes), view=page.view, page=page, own=own)
+    return flat(step(here))
+
+
+def state_of(elements: list[Any]) -> dict[str, bool]:
+    return {one.label: one.disabled for one in elements if isinstance(one, Button | Input)}
+
+
+def test_the_panel_offers_drive_light_marks_and_the_plan_in_the_order_of_work():
+    assert list(state_of(shown(live_step, Page()))) == [
+        *("Go to focus", "Up to safe z", "Exposure, µs", "Light, %", "Objective", "Tilt A, deg"),
+        *("Corner 1 is here", "Corner 2 is here", "Lowest is here", "Highest is here", "Use for the plan"),
+    ]
+
+
+def test_nothing_can_be_driven_while_the_rig_scans_and_marks_come_before_the_plan():
+    page = Page()
+    scanning = replace(page.session.snapshot.rig, state="scanning")
+    off = state_of(shown(live_step, page, rig=scanning))
+    assert [name for name, disabled in off.items() if not disabled] == ["Exposure, µs", "Use for the plan"]
+    bare = shown(live_step, page, live=LiveState())
+    assert state_of(bare)["Use for the plan"]
+    assert any("mark two corners" in one.content for one in bare if isinstance(one, Html))
+
+
+def test_a_number_typed_goes_to_its_command_and_what_fails_is_told_under_its_name():
+    page = Page()
+    inputs = {one.label: one for one in shown(live_step, page) if isinstance(one, Input)}
+    inputs["Exposure, µs"].put(150.0)
+    inputs["Light, %"].put(50.0)
+    inputs["Light, %"].put(None)
+    inputs["Objective"].put(ELSEWHERE)
+    assert page.asked == ["The exposure was not changed", "The positioner did not move"]
+
+
+def test_the_curve_keeps_its_ends_while_what_is_seen_lies_within():
+    page = Page()
+    here: Any = SimpleNamespace(snapshot=page.session.snapshot, view=page.view, page=page, own=FIRST_ENDS_UM)
+    live_dock(here)
+    ends_um = here.own
+    assert ends_um[0] < FIRST_ENDS_UM[0]
+    page.session.live.latest = a_frame(3.0)
+    live_dock(here)
+    assert here.own is ends_um
+
+
+def test_a_place_can_be_kept_where_the_stage_can_move():
+    page = Page()
+    assert state_of(shown(live_places, page)) == {"Keep this place": False}
+    absent = replace(page.session.snapshot.rig, state="absent", limits=None)
+    assert state_of(shown(live_places, page, rig=absent)) == {"Keep this place": True}
+
+
 def test_a_row_shows_the_number_or_the_name_and_which_positioners_are_not_homed():
     lamp, nosepiece, tilt = POSITIONERS
-    assert (shown_value(lamp), shown_value(nosepiece), shown_value(tilt)) == ("80", "10x", "")
     between = replace(nosepiece, reading=msgspec.structs.replace(nosepiece.reading, named="", position=44.0))
-    assert shown_value(between) == ELSEWHERE
+    rows = [positioner(Page(), state) for state in (lamp, nosepiece, tilt, between)]
+    assert [type(row) for row in rows] == [NumberOrEmpty, Dropdown, NumberOrEmpty, Dropdown]
+    assert [row.value for row in rows] == [80.0, "10x", None, ELSEWHERE]
     assert words(POSITIONERS) == "not homed: Tilt A"
     assert words((lamp, nosepiece)) == "z goes up before it turns"
     assert words((lamp,)) == ""

@@ -1,7 +1,8 @@
-"""Picture of the camera over the scene, and below it the focus score over z."""
+"""Picture of the camera over the scene."""
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import dataclass
 
@@ -10,177 +11,23 @@ import viser
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.charts.axes import ChartAxes, PlotLook, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.number_format import duration, length_text, number, round_length, with_unit
 from wafer_viewer.draw.surface.display_style import eight_bit
+from wafer_viewer.gui.elements.elements import Elements, Html, Picture
+from wafer_viewer.gui.elements.mount import Mount
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.overlays.toolbar import sample_or_live
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.panels import BottomPanel, bottom_panel_height_px
+from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
-from wafer_viewer.gui.widgets.controls import HtmlBlock, set_prop
+from wafer_viewer.gui.widgets.controls import set_prop
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.acquisition.live_controller import LiveLook
-from wafer_viewer.session.state.instrument_state import FocusTrace, LiveState
+from wafer_viewer.session.state.instrument_state import FocusTrace
 from wafer_viewer.session.state.snapshot import Snapshot
-
-# ----------------------------------------------------------------------------------------------------------- live curve
-
-
-LEAST_SPAN_UM = 60.0
-"""Least extent of the z axis."""
-EDGE_SHARE = 0.08
-ROUND_UM = 10.0
-"""The ends of the axis are multiples, so that it does not creep with every frame."""
-GAP_UM = 12.0
-"""Distance of two scored positions beyond which the curve is interrupted: nothing was seen between them."""
-_Y_TICKS = ((0.0, "0"), (0.5, "50"), (1.0, "100"))
-
-
-class LiveDock:
-    """Curve of the scores at this place, with grips for the lowest and the highest z to scan."""
-
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._panel = BottomPanel(page, "live")
-        with self._panel.tab:
-            self._plot = HtmlBlock(page.gui)
-            self._grips = HtmlBlock(page.gui)
-        self._ends_um = (-LEAST_SPAN_UM / 2, LEAST_SPAN_UM / 2)
-        page.on_pick("live-range", self._set_end)
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the curve."""
-        if not self._panel.show(view):
-            return
-        look = self._page.session.live.look()
-        ends_um = axis_ends_um(look, snapshot.live, snapshot.rig.z_um)
-        low_um, high_um = self._ends_um
-        roomy = high_um - low_um > 3 * (ends_um[1] - ends_um[0])
-        if ends_um[0] < low_um or ends_um[1] > high_um or roomy:
-            self._ends_um = ends_um
-        head, plot = _head(snapshot), curve_html(look, snapshot, self._ends_um)
-        self._plot.show(Markup('<div class="wv-below">{}{}</div>').format(head, plot))
-        self._grips.show(grips_html(snapshot.live, self._ends_um))
-
-    def _set_end(self, key: str) -> None:
-        end, z_um = key.split(":")
-        name = "lowest" if end == "lowest" else "highest"
-        self._page.ask("The range was not changed", self._page.session.live.mark_end(name, round(float(z_um), 1)))
-
-
-def axis_ends_um(look: LiveLook, live: LiveState, z_um: float) -> tuple[float, float]:
-    """Return round ends of the z axis that hold the scores, the range and the present z."""
-    marked = [um for um in (live.lowest_um, live.highest_um) if um is not None]
-    seen = [z_um, *(z for z, _ in look.trace.points), *marked]
-    low, high = min(seen), max(seen)
-    half = max((high - low) * (0.5 + EDGE_SHARE), LEAST_SPAN_UM / 2)
-    middle = (low + high) / 2
-    return ROUND_UM * ((middle - half) // ROUND_UM), -ROUND_UM * ((-middle - half) // ROUND_UM)
-
-
-def _head(snapshot: Snapshot) -> Markup:
-    live, job = snapshot.live, snapshot.draft.job
-    words = Markup('<span class="wv-end">Drag the grips, or press Lowest and Highest is here</span>')
-    if live.range_um is not None:
-        low, high = live.range_um
-        step_um = job.sweep.z_step_um if job is not None else None
-        frames = f" · {round((high - low) / step_um) + 1} frames at {with_unit(step_um, 2)}" if step_um else ""
-        words = Markup('<span class="wv-end">Range <b>{} … {}</b>{}</span>').format(
-            number(low, 1, signed=True), with_unit(high, 1, signed=True), frames
-        )
-    return Markup('<div class="wv-dock"><b>Focus along z</b>{}</div>').format(words)
-
-
-def curve_html(look: LiveLook, snapshot: Snapshot, ends_um: tuple[float, float]) -> Markup:
-    """Return the plot: the curve, the range, the present z and the best one."""
-    axes = ChartAxes.stretched(ends_um, (0.0, 1.12), round_ticks(ends_um, 9, signed=True), _Y_TICKS)
-    points, best = look.trace.points, look.trace.best
-    here_um = snapshot.rig.z_um
-    drawn, words = _range_area(axes, snapshot.live), [_label(axes, here_um, "ink", "here", 0)]
-    if best is not None and best[1] > 0:
-        drawn += _curve(axes, points, best[1])
-        best_um = look.trace.best_um
-        if best_um is not None:
-            drawn += line_svg(axes.upright(axes.x.within(best_um)), "good", 1.6, Markup('stroke-dasharray="5 4"'))
-            text = f"best {number(best_um, 1, signed=True)}"
-            words.append(_label(axes, best_um, "good", text, 1))
-    drawn += line_svg(axes.upright(axes.x.within(here_um)), "ink", 1.8)
-    if len(points) < 2:
-        words.append(
-            Markup('<b class="wv-live-unseen">Move in z, or go to focus: the curve grows with what is seen</b>')
-        )
-    else:
-        words += _unseen(axes, points)
-    look_of_plot = PlotLook("Focus score over z", "Focus, % of the best", "z, µm", classes="wv-profiles", top_px=8)
-    return plot_html(axes, look_of_plot, drawn, Markup("").join(words))
-
-
-def _curve(axes: ChartAxes, points: tuple[tuple[float, float], ...], best: float) -> Markup:
-    path, before = "", None
-    for z, score in points:
-        pen = "L" if before is not None and z - before <= GAP_UM else "M"
-        path += f"{pen}{axes.x.at(axes.x.within(z)):.1f} {axes.y.at(min(score / best, 1.0)):.1f}"
-        before = z
-    dots = "".join(f"M{axes.x.at(axes.x.within(z)):.1f} {axes.y.at(min(s / best, 1.0)):.1f}h.01" for z, s in points)
-    return line_svg(path, "accent", 2) + line_svg(dots, "accent", 4, Markup('stroke-linecap="round"'))
-
-
-def _range_area(axes: ChartAxes, live: LiveState) -> Markup:
-    if live.range_um is None:
-        return Markup()
-    low, high = (axes.x.at(axes.x.within(um)) for um in live.range_um)
-    return Markup('<rect class="wv-live-range" x="{:.1f}" y="0" width="{:.1f}" height="1000"/>').format(
-        min(low, high), abs(high - low)
-    )
-
-
-def _unseen(axes: ChartAxes, points: tuple[tuple[float, float], ...]) -> list[Markup]:
-    """Return pale areas over what was not seen at either end."""
-    low, high = axes.x.percent(points[0][0]), axes.x.percent(points[-1][0])
-    areas = []
-    for side, percent in (("left", low), ("right", 100 - high)):
-        if percent > 3:
-            words = "not seen yet" if percent > 14 else ""
-            areas.append(
-                Markup('<b class="wv-live-pale" style="{}:0;width:{:.2f}%">{}</b>').format(side, percent, words)
-            )
-    return areas
-
-
-def _label(axes: ChartAxes, z_um: float, colour: str, text: str, row: int) -> Markup:
-    """Return a label beside its line; `row`: 0 at the top, 1 below it."""
-    percent = axes.x.percent(axes.x.within(z_um))
-    side = f"right:calc({100 - percent:.2f}% + 6px)" if percent > 80 else f"left:calc({percent:.2f}% + 6px)"
-    return Markup('<b style="{};top:{}px;color:var(--{})">{}</b>').format(side, 16 * row - 2, colour, text)
-
-
-def grips_html(live: LiveState, ends_um: tuple[float, float]) -> Markup:
-    """Return a slider for each end of the range; without a mark its grip waits at the end of the axis."""
-    marked = {"lowest": live.lowest_um, "highest": live.highest_um}
-    waiting = {"lowest": ends_um[0], "highest": ends_um[1]}
-    sliders = Markup("").join(
-        Markup(
-            '<input type="range" class="wv-slide wv-grip {state}" name="{end}" aria-label="{title}, µm" min="{low!r}" '
-            'max="{high!r}" step="0.1" value="{z!r}" data-slide="live-range" data-needs-control>'
-        ).format(
-            state="" if um is not None else "waits",
-            end=end,
-            title=f"{end.capitalize()} z to scan",
-            low=ends_um[0],
-            high=ends_um[1],
-            z=waiting[end] if um is None else um,
-        )
-        for end, um in marked.items()
-    )
-    return Markup('<div class="wv-slides wv-grips">{}</div>').format(sliders)
-
-
-# --------------------------------------------------------------------------------------------------------- live picture
-
 
 FIRST_PX = 892, 640
 """Size of the scene until the browser reports it."""
@@ -231,48 +78,42 @@ class LivePicture:
         self._page = page
         self._panel = page.gui.add_panel(visible=False)
         with self._panel.add_tab("·"):
-            self._target = HtmlBlock(page.gui, padded=False)
-            self._words = HtmlBlock(page.gui, padded=False)
-            blank = np.zeros((3, 4, 3), np.uint8)
-            self._image = page.gui.add_image(blank, format="jpeg", jpeg_quality=JPEG_QUALITY, visible=False)
+            self._mount = Mount(page.gui, page, FAILED)
+        self._over: Elements = ()
+        """All but the picture."""
         self._size: PictureSize | None = None
         self._scene_px = FIRST_PX
         self._at_bench = False
-        self._worded_s = 0.0
+        self._drawn_s = 0.0
+        self._drawing = threading.Lock()
         self._worker = LatestOnlyWorker("live picture")
         page.on_close(self._worker.close)
         page.on_close(page.session.live.on_frame(self._frame_arrived))
         page.viewport.on_change(lambda: self._follow(page.viewport.width_px, page.viewport.height_px))
         page.on_pick("live-at", self._drive_to)
-        page.on_pick("plan-look", lambda key: page.change(live=key == "live"))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the words over the picture; the picture follows the frames."""
-        if view.at_bench and not self._at_bench:
-            self._enter(view)
+        if view.at_bench and not self._at_bench:  # in the scene as it will be above the panel below
+            self._scene_px = self._scene_px[0], self._scene_px[1] - bottom_panel_height_px(view)
         self._at_bench = view.at_bench
-        if not view.at_bench:
-            set_prop(self._panel, "visible", False)
-            self._target.show("")
-            self._words.show("")
-            return
-        limits = snapshot.rig.limits
-        aspect = limits.camera.cols / limits.camera.rows if limits is not None else 4 / 3
-        size = PictureSize.within(self._scene_px, aspect)
-        if size != self._size:
-            self._size = size
-            self._panel.float(x=size.x_px, y=size.y_px, width=size.width_px, height=size.height_px + BORDER_PX)
-        look = self._page.session.live.look()
-        self._target.show(_target(size))
-        self._words.show(words_over(snapshot, look, size, time.time()))
-        set_prop(self._image, "visible", look.frame is not None)
-        set_prop(self._panel, "visible", True)
+        if view.at_bench:
+            limits = snapshot.rig.limits
+            aspect = limits.camera.cols / limits.camera.rows if limits is not None else 4 / 3
+            size = PictureSize.within(self._scene_px, aspect)
+            if size != self._size:
+                self._size = size
+                self._panel.float(x=size.x_px, y=size.y_px, width=size.width_px, height=size.height_px + BORDER_PX)
+            words = words_over(snapshot, self._page.session.live.look(), size, time.time())
+            self._over = Html(_target(size), padded=False), Html(words, padded=False)
+        self._draw()
+        set_prop(self._panel, "visible", view.at_bench)
 
-    def _enter(self, view: View) -> None:
-        """Show the last frame, in the scene as it will be above the panel below, before the browser reports it."""
-        width_px, height_px = self._scene_px
-        self._scene_px = width_px, height_px - bottom_panel_height_px(view)
-        self._worker.ask(guarded(self._page, FAILED)(self._send))
+    def _draw(self) -> None:
+        frame = self._page.session.live.look().frame
+        picture = Picture(frame.image, display_picture, jpeg_quality=JPEG_QUALITY) if frame is not None else None
+        with self._drawing:
+            self._mount.show([*self._over, picture] if self._at_bench else ())
 
     def _follow(self, width_px: int, height_px: int) -> None:
         if (width_px, height_px) != self._scene_px and width_px > 0 and height_px > 0:
@@ -284,13 +125,10 @@ class LivePicture:
             self._worker.ask(guarded(self._page, FAILED)(self._send))
 
     def _send(self) -> None:
-        """Send the latest frame, and a few times a second the words over it."""
-        frame = self._page.session.live.look().frame
-        if frame is None:
-            return
-        self._image.image = display_picture(frame.image)
-        if time.monotonic() - self._worded_s > WORDS_EVERY_S:
-            self._worded_s = time.monotonic()
+        """Send the latest frame, and a few times a second what is known of it."""
+        self._draw()
+        if time.monotonic() - self._drawn_s > WORDS_EVERY_S:
+            self._drawn_s = time.monotonic()
             self._page.redraw()
 
     def _drive_to(self, key: str) -> None:

@@ -6,58 +6,46 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, with_unit
-from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html
+from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import HtmlBlock, command_button, outlined, set_prop
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.acquisition.live_controller import KnownTop, known_top
 from wafer_viewer.session.state.instrument_state import LivePlace
 from wafer_viewer.session.state.snapshot import Snapshot
 
-NOT_KEPT, NOT_THERE = "The place was not kept", "The stage did not move"
+NOT_KEPT = "The place was not kept"
+ICON = viser.Icon
 _TOP_PX, _LOWEST_PX, _SAMPLE_PX = 44.0, 96.0, 118.0
 """Lower end of the objective at the safe z, at the lowest z, and top of the sample in the drawing."""
 
 
-class LivePlaces:
-    """Section at the left while Plan shows the camera."""
+def live_places(here: Here[None]) -> Elements | None:
+    """Return the places and the drawing at the left while Plan shows the camera."""
+    snapshot, page, limits = here.snapshot, here.page, here.snapshot.rig.limits
+    if not here.view.at_bench:
+        return None
+    side = side_view(limits, snapshot.rig.z_um, known_top(snapshot)) if limits is not None else None
+    off = snapshot.rig.state not in ("ready", "moving")
+    return [
+        Html(html.head("Places", "click to go") + places_table(snapshot)),
+        Buttons([Button("Keep this place", page.session.live.keep_place, ICON.MAP_PIN, disabled=off, commands=True)]),
+        Html(html.head("Objective and sample", "not to scale") + side if side is not None else ""),
+    ]
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._folder = page.gui.add_folder(None, visible=False)
-        live = page.session.live
-        with self._folder:
-            self._list = HtmlBlock(page.gui)
-            keep = guarded(page, NOT_KEPT)(lambda _: page.ask(NOT_KEPT, live.keep_place()))
-            self._keep = command_button(page.gui, "Keep this place", viser.Icon.MAP_PIN, keep)
-            outlined(page.gui, self._keep, 32)
-            self._side = HtmlBlock(page.gui)
-        page.on_pick("live-place", self._go_to)
-        page.on_pick("live-forget", lambda name: page.ask(NOT_KEPT, live.forget_place(name)))
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update places and drawing."""
-        set_prop(self._folder, "visible", view.at_bench)
-        if not view.at_bench:
-            return
-        self._list.show(html.head("Places", "click to go") + places_table(snapshot))
-        set_prop(self._keep, "disabled", snapshot.rig.state not in ("ready", "moving"))
-        limits = snapshot.rig.limits
-        self._side.show(
-            html.head("Objective and sample", "not to scale")
-            + side_view(limits, snapshot.rig.z_um, known_top(snapshot))
-            if limits is not None
-            else ""
-        )
+def _go_to(here: Here[None], key: str) -> None:
+    """Drive to a place by its number in the list."""
+    place = all_places(here.page.session.snapshot)[int(key)]
+    goal = here.page.session.live.drive(x_um=place.x_um, y_um=place.y_um, z_um=place.z_um)
+    here.page.ask("The stage did not move", goal)
 
-    def _go_to(self, key: str) -> None:
-        """Drive to a place by its number in the list."""
-        places = all_places(self._page.session.snapshot)
-        place = places[int(key)]
-        goal = self._page.session.live.drive(x_um=place.x_um, y_um=place.y_um, z_um=place.z_um)
-        self._page.ask(NOT_THERE, goal)
+
+PLACE_PICKS: Picks[None] = {
+    "live-place": _go_to,
+    "live-forget": lambda here, name: here.page.ask(NOT_KEPT, here.page.session.live.forget_place(name)),
+}
+"""What clicks on the places do."""
 
 
 def all_places(snapshot: Snapshot) -> list[LivePlace]:
@@ -91,7 +79,7 @@ def places_table(snapshot: Snapshot) -> Markup:
 def _forget(name: str) -> Markup:
     return Markup(
         '<span class="wv-action" title="Remove {name}" aria-label="Remove {name}" {pick}>{icon}</span>'
-    ).format(name=name, pick=html.command_pick("live-forget", name), icon=html.icon(viser.Icon.X, 13))
+    ).format(name=name, pick=html.command_pick("live-forget", name), icon=html.icon(ICON.X, 13))
 
 
 def side_view(limits: RigLimits, z_um: float, top: KnownTop | None) -> Markup:
