@@ -58,7 +58,7 @@ def press(page: Page, name: str) -> None:
 
 def go_to(page: Page, step: str) -> None:
     """Go to a step through the header."""
-    page.get_by_role("button", name=step, exact=True).first.click()
+    page.get_by_role("navigation", name="Steps of work").get_by_role("button", name=step, exact=True).click()
 
 
 def title_is(page: Page, title: str | re.Pattern[str]) -> None:

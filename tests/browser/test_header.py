@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import title_is
-from wafer_viewer.gui.page.header import STEPS, TITLES
+from wafer_viewer.gui.page.work_steps import STEPS, TITLES
 
 pytestmark = [
     pytest.mark.browser,
@@ -19,8 +19,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
 Serve = Callable[[fake.FakeSession], Page]
-WIDTHS = 768, 800, 943, 944, 1024, 1199, 1200, 1280, 1366, 1499, 1500, 1600
-NAMED_FROM_PX, ROOMY_FROM_PX, CURRENT_NAMED_FROM_PX = 1500, 1200, 944
+WIDTHS = 768, 800, 943, 944, 1024, 1199, 1200, 1279, 1280, 1366, 1499, 1500, 1600
+NAMED_FROM_PX, ROOMY_FROM_PX, CURRENT_NAMED_FROM_PX = 1280, 1200, 944
 MEASURED = """([stop, steps, others]) => {
   const at = (element, x, y) => element.contains(document.elementFromPoint(x, y));
   const r = stop.getBoundingClientRect(), wrong = [];
@@ -28,6 +28,7 @@ MEASURED = """([stop, steps, others]) => {
     for (let y = r.top + 1; y < r.bottom; y += 5) if (!at(stop, x, y)) wrong.push(`Stop is covered at ${x}, ${y}`);
   for (const step of steps) {
     const s = step.getBoundingClientRect();
+    if (step.scrollWidth > step.clientWidth) wrong.push(`${step.textContent} is cut`);
     if (!at(step, s.left + s.width / 2, s.top + s.height / 2)) wrong.push(`${step.textContent} is covered`);
   }
   for (const other of others) {
@@ -55,13 +56,13 @@ def button(page: Page, name: str):
 
 
 def test_stop_and_every_step_can_be_hit_at_every_width(page: Page):
-    stop = button(page, "Stop").element_handle()
-    steps = [button(page, name).element_handle() for name in TITLES.values()]
     for step in ("Plan", "Gauge check"):
         button(page, step).click()
         title_is(page, {"Plan": "Plan the scan"}.get(step, step))
         for width in WIDTHS:
             page.set_viewport_size({"width": width, "height": 768})
+            stop = button(page, "Stop").element_handle()
+            steps = [button(page, name).element_handle() for name in TITLES.values()]
             others = [page.locator(other).element_handle() for other in (".wv-pill", ".wv-switch", ".wv-mark > div")]
             found = page.evaluate(MEASURED, [stop, steps, others])
             assert found["wrong"] == [], width
@@ -73,7 +74,7 @@ def test_names_give_way_first_then_places_and_what_is_real_never(page: Page):
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 768})
         for step in STEPS:
-            label = button(page, TITLES[step]).locator(".mantine-Button-label").bounding_box()
+            label = button(page, TITLES[step]).locator("b").bounding_box()
             assert (label["width"] > 20) == (
                 width >= NAMED_FROM_PX or (step == "plan" and width >= CURRENT_NAMED_FROM_PX)
             ), (step, width)
@@ -108,8 +109,8 @@ def test_a_step_says_its_name_and_why_not_under_the_pointer_and_the_focus(serve:
 def test_a_done_step_has_its_tick_and_the_present_one_is_the_current_one(page: Page):
     mark = "(button, [part, pseudo]) => getComputedStyle(button.querySelector(part), pseudo).backgroundColor"
     for width, part in (
-        (1280, [".mantine-Button-section", "::after"]),
-        (1600, [".mantine-Button-label", "::before"]),
+        (1270, [".wv-i", "::after"]),
+        (1600, ["b", "::before"]),
     ):
         page.set_viewport_size({"width": width, "height": 768})
         assert button(page, "Surface").evaluate(mark, part) == "rgb(24, 121, 78)"
@@ -123,7 +124,7 @@ def test_a_done_step_has_its_tick_and_the_present_one_is_the_current_one(page: P
 def test_stop_is_grey_at_rest_red_in_motion_and_struck_out_without_a_rig(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)
-    stop, label = button(page, "Stop"), button(page, "Stop").locator(".mantine-Button-label")
+    stop, label = button(page, "Stop"), button(page, "Stop").locator("b")
     expect(stop).to_have_css("color", "rgb(92, 107, 126)")
     session.change(rig=dataclasses.replace(fake.RIG, state="moving"))
     expect(stop).to_have_css("color", "rgb(180, 35, 24)")
@@ -131,3 +132,14 @@ def test_stop_is_grey_at_rest_red_in_motion_and_struck_out_without_a_rig(serve: 
     session.change(rig=dataclasses.replace(fake.RIG, state="absent", message="The box does not answer."))
     expect(label).to_have_css("text-decoration-line", "line-through")
     expect(stop).to_be_disabled()
+
+
+def test_a_step_that_is_pressed_by_key_keeps_the_focus(page: Page):
+    steps = page.get_by_role("navigation", name="Steps of work")
+    surface = steps.get_by_role("button", name="Surface")
+    surface.focus()
+    page.keyboard.press("Enter")
+    expect(surface).to_have_attribute("aria-current", "step")
+    expect(surface).to_be_focused()
+    page.keyboard.press("Tab")
+    expect(steps.get_by_role("button", name="Measure")).to_be_focused()

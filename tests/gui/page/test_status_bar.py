@@ -10,7 +10,7 @@ import pytest
 from tests.browser.sessions import fake_session as fake
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import grid
-from wafer_viewer.gui.page.header import calibration, calibration_due, job_shown, motion, placement, sample, surface
+from wafer_viewer.gui.shell.header import calibration, calibration_due, job_shown, motion, placement, sample, surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.sample import Sample

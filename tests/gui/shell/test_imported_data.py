@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.gui.page.header import _state as header_state
 from wafer_viewer.gui.scenes.scene_view import acquire_contents
+from wafer_viewer.gui.shell.header import _state as header_state
 from wafer_viewer.gui.shell.left_panel import FieldMap, MapClicks
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -8,7 +8,7 @@ import pytest
 
 from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.page.browser_info import BrowserInfo, is_cramped
-from wafer_viewer.gui.page.header import STEPS, why_not
+from wafer_viewer.gui.page.work_steps import STEPS, why_not
 from wafer_viewer.gui.shell.build_page import disconnection_summary, out_of_reach, restart_summary, state
 from wafer_viewer.gui.state.view_state import PanelLayout
 from wafer_viewer.session.state.snapshot import RigStatus

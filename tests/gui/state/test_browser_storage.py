@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wafer_viewer.gui.page.browser_info import BrowserInfo, layout_of, system_name
-from wafer_viewer.gui.page.header import STEPS
+from wafer_viewer.gui.page.work_steps import STEPS
 from wafer_viewer.gui.state import view_state
 from wafer_viewer.gui.state.view_state import BrowserIdentity, PanelLayout, Remembered, View
 from wafer_viewer.model.region import Region

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from tests.support.page_stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui.page.header import by_stage
+from wafer_viewer.gui.shell.header import by_stage
 from wafer_viewer.gui.steps.surface import reconstruction as words
 from wafer_viewer.model.surface.field_poses import RejectionReason
 

@@ -41,6 +41,8 @@ class ControlLock:
         self._strip = HtmlBlock(page.gui)
         page.on_close(lambda: self._bar(False, False))
         page.on_pick("hands", lambda _: control_dialog(page))
+        page.on_pick("hands-over", lambda to: hand_over(page, to))
+        page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
         page.on_pick("hands-ask", lambda _: ask(page))
         page.on_pick("sign-in", lambda _: sign_in_dialog(page))
         page.on_pick("sign-out", lambda _: sign_out(page))
@@ -87,20 +89,10 @@ def _is_barred(handle: Any, watching: bool) -> bool:
     return getattr(handle, "needs_control", False) if watching else getattr(handle, "needs_role", "") == "engineer"
 
 
-class ControlRequestPrompt:
-    """Prompt to the holder when another browser requests control, with the two answers."""
-
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._question = HtmlBlock(page.gui, padded=False)
-        page.on_pick("hands-over", lambda to: hand_over(page, to))
-        page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the prompt as long as a request is open."""
-        control = snapshot.control
-        requested = control.holds(self._page.browser.key) and control.requester is not None
-        self._question.show(_question(control) if requested else "")
+def control_question(snapshot: Snapshot, key: str) -> Markup:
+    """Return the question to the holder as long as another browser asks for the controls; else empty."""
+    control = snapshot.control
+    return _question(control) if control.holds(key) and control.requester is not None else Markup()
 
 
 def ask(page: Page) -> None:

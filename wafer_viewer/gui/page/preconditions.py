@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.gui.page.header import TITLES, possible, why_not
+from wafer_viewer.gui.page.work_steps import TITLES, possible, why_not
 from wafer_viewer.gui.presenters.defects import JUDGEMENT_OF, chosen_defect, number_of
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.widgets.controls import Obstacle

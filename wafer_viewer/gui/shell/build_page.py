@@ -24,15 +24,17 @@ from wafer_viewer.gui.measure.profile_dock import ProfileDock
 from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.overlays.toolbar import PrintPicture, Toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
-from wafer_viewer.gui.page.control_handover import ControlLock, ControlRequestPrompt
+from wafer_viewer.gui.page.control_handover import ControlLock
 from wafer_viewer.gui.page.dialogs import add_hints, add_titles
-from wafer_viewer.gui.page.header import TITLES, Header, Reopened, StatusStrip, possible, why_not
 from wafer_viewer.gui.page.page import Page, PagePart
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
-from wafer_viewer.gui.page.stop import NOT_STOPPED, complete_fields_sentence, stop
+from wafer_viewer.gui.page.stop import complete_fields_sentence
+from wafer_viewer.gui.page.work_steps import possible
 from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.shell.header import CONFIRMATION_PICKS, HEADER_PICKS, NOT_CONFIRMED, confirmation, header
+from wafer_viewer.gui.shell.header import FAILED as NOT_DRAWN
 from wafer_viewer.gui.shell.left_panel import LeftPanel, MapClicks
 from wafer_viewer.gui.shell.saved_views import SavedViews, Viewpoint
 from wafer_viewer.gui.shell.shortcuts import (
@@ -44,7 +46,7 @@ from wafer_viewer.gui.shell.shortcuts import (
     glossary_command,
 )
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
-from wafer_viewer.gui.state.view_state import Step, View, with_cursor
+from wafer_viewer.gui.state.view_state import View, with_cursor
 from wafer_viewer.gui.steps.acquire import acquire_step
 from wafer_viewer.gui.steps.gauge.gauge_check import StepReadout, run_chart_dock
 from wafer_viewer.gui.steps.gauge.gauge_step import FAILED as CHECK_FAILED
@@ -237,14 +239,6 @@ class StepFallback:
             self._page.change(step="plan")
 
 
-def go_to(page: Page, step: Step) -> None:
-    """Go to a step, or notify why it is not available yet."""
-    if (why := why_not(step, page.session.snapshot)) is None:
-        page.change(step=step, why=None)
-    else:
-        page.say(TITLES[step], f"Not yet: {why}", "attention")
-
-
 def build_page(client: viser.ClientHandle, session: Session) -> Page:
     """Create the page of a newly connected browser and start drawing it."""
     page = Page(client, session)
@@ -255,12 +249,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     with always_mounted(page.gui):
         ear = BrowserEvents(page)
     with always_mounted(page.gui):
-        frame = PageTheme(page)
-        halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
-        header = Header(page.gui, lambda step: go_to(page, step), halt)
-        strip, question, contact, tour = StatusStrip(page), ControlRequestPrompt(page), Contact(page), TourGuide(page)
+        theme = PageTheme(page)
+        head, contact, tour = StepPanel(page, header, None, NOT_DRAWN, HEADER_PICKS), Contact(page), TourGuide(page)
     left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
-    control_lock, reopened = ControlLock(page), Reopened(page)
+    control_lock = ControlLock(page)
+    reopened = StepPanel(page, confirmation, None, NOT_CONFIRMED, CONFIRMATION_PICKS)
     poses = PoseCache(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     failed = partial(tell_failure, page, "The scene is not complete")
@@ -268,7 +261,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     ear.on_motion(scene.let_fly)
     curves = LiveProfiles(page)
     viewpoint, drawing, welcome = Viewpoint(page, scene), ScenePart(scene, curves), Welcome(page)
-    page.show_first([frame, header, welcome, viewpoint, drawing])
+    page.show_first([theme, head, welcome, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.visible_um)
     plan = StepPanel(page, plan_step, PlanState(), NOT_CHANGED, PICKS)
     acquire = StepPanel(page, acquire_step, None, "The scan was not changed")
@@ -285,9 +278,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     parts: list[PagePart] = [
         *(
             StepFallback(page),
-            frame,
+            theme,
             ear,
-            header,
+            head,
             statistics,
             plan,
             acquire,
@@ -323,8 +316,6 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         ),
         welcome,
         tour,
-        strip,
-        question,
         reopened,
         control_lock,
         contact,
@@ -373,7 +364,6 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel) -> None:
     left.dies.on_camera_view(scene.visible_um)
     MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
-    page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
     page.on_pick("tool", lambda tool: use_tool(page, tool))
     page.on_pick("look", scene.look_from)
     page.on_pick("select", lambda _: page.change(selecting=not page.view.selecting))

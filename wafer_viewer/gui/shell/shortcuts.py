@@ -18,7 +18,6 @@ from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
-from wafer_viewer.gui.page.header import TITLES
 from wafer_viewer.gui.page.import_dialog import import_dialog
 from wafer_viewer.gui.page.import_export_dialogs import (
     audit_dialog,
@@ -43,6 +42,7 @@ from wafer_viewer.gui.page.preconditions import (
     surface_not_shown,
 )
 from wafer_viewer.gui.page.stop import stop
+from wafer_viewer.gui.page.work_steps import TITLES
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.steps.acquire import RETAKE, pause_or_resume, retake, why_not_retaken
 from wafer_viewer.gui.steps.measure import MeasureState, keep_result, use_tool, why_not_keep

@@ -1,8 +1,7 @@
 /* Accessible names: viser draws a label beside its input and ties the two together for some inputs only. Every input
    in the row of a label gets the label as its name; a field that may be left empty says so in grey: `FACTS.optional`
    holds their labels with these words, unless `data-states` of an element names the label, with the value that holds
-   while it is empty and its tone. A step of the header gets its tooltip; one that is not possible yet stays
-   focusable for it, unlike a disabled button. */
+   while it is empty and its tone. */
 const INPUTS = 'input:not([type=hidden]), textarea, select, [role=slider], [role=combobox], [role=switch]';
 const HIDDEN = 'div:has(>.wv-picks)+div input, div:has(>.wv-tells)+div input';
 const set = (at, name, value) => { if (at.getAttribute(name) !== value) at.setAttribute(name, value); };
@@ -22,14 +21,6 @@ const nameAll = () => {
       at.toggleAttribute('data-stated', Boolean(stated[text]?.value));
       if (stated[text] || at.dataset.tone) at.dataset.tone = stated[text]?.tone ?? '';
     });
-  }
-  for (const tip of document.querySelectorAll('.wv-tip[data-of]')) {
-    const step = document.getElementById(tip.dataset.of);
-    if (!step) continue;
-    set(step, 'aria-describedby', tip.id);
-    for (const [name, value] of [['aria-disabled', tip.dataset.disabled], ['aria-current', tip.dataset.current]]) {
-      if (value) set(step, name, value); else step.removeAttribute(name);
-    }
   }
 };
 let due = 0;

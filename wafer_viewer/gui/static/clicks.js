@@ -22,3 +22,16 @@ document.addEventListener('pointerup', event => {
   const { clientX, clientY } = event;
   window.wvClick(now, { clientX, clientY, detail: 1 });
 }, true);
+
+/* What has the focus, and is drawn anew, keeps it: its successor has the same purpose. */
+let focused = null;
+document.addEventListener('focusin', event => { focused = clickable(event.target); }, true);
+new MutationObserver(() => {
+  if (!focused || focused.isConnected) return;
+  const before = focused;
+  focused = null;
+  if (document.activeElement !== document.body) return;
+  const { pick, k } = before.dataset;
+  const same = at => at.dataset.k === k && at.tagName === before.tagName && at.getClientRects().length > 0;
+  [...document.querySelectorAll(`[data-pick="${pick}"]`)].find(same)?.focus({ preventScroll: true });
+}).observe(document.body, { childList: true, subtree: true });

@@ -8,8 +8,8 @@ import pytest
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.gui.page.header import all_judged, possible
 from wafer_viewer.gui.page.preconditions import can_undo
+from wafer_viewer.gui.page.work_steps import all_judged, possible
 from wafer_viewer.gui.presenters.defects import (
     MOST_ROWS,
     chosen_defect,

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
-from wafer_viewer.gui.page.header import done
+from wafer_viewer.gui.page.work_steps import done
 from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, review_items, review_list
 from wafer_viewer.gui.scene.camera_presets import CameraPose
 from wafer_viewer.gui.shell.left_panel import field_at
