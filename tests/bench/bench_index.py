@@ -22,7 +22,7 @@ import msgspec
 from tests.bench.harness import Cell, alone, peak_mb, read_options, show, took
 from tests.support.plans import plan_without_motion
 from wafer_viewer.gui.scenes.scene_view import acquire_contents
-from wafer_viewer.gui.shell.left_panel import FieldMap
+from wafer_viewer.gui.shell.left_panel import MapState, field_map
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
@@ -90,8 +90,8 @@ def as_new(read: Callable[[Path], T], path: Path) -> T:
 
 def map_of(shown: Snapshot, view: View) -> None:
     """Draw the map of the fields."""
-    gui: Any = SimpleNamespace(add_html=lambda content, order=None: SimpleNamespace(content=content))
-    FieldMap(gui).show(shown, view)
+    here: Any = SimpleNamespace(snapshot=shown, view=view, page=SimpleNamespace(statistics=None), own=MapState())
+    field_map(here)
 
 
 def least(work: Callable[[], T], runs: int = RUNS) -> tuple[float, T]:

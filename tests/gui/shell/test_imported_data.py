@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from tests.browser.sessions import fake_session as fake
+from tests.gui.steps.test_steps import flat
 from wafer_viewer.gui.scenes.scene_view import acquire_contents
 from wafer_viewer.gui.shell.header import _state as header_state
-from wafer_viewer.gui.shell.left_panel import FieldMap, MapClicks
+from wafer_viewer.gui.shell.left_panel import FIELD_PICKS, MapState, field_map
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -26,15 +27,9 @@ def snapshot(*, imported: bool) -> Snapshot:
 
 
 def map_of(shown: Snapshot, step: Any) -> str:
-    cells: list[Any] = []
-
-    def add_html(content: str, order: float | None = None) -> Any:
-        cells.append(SimpleNamespace(content=content))
-        return cells[-1]
-
-    drawing = FieldMap(SimpleNamespace(add_html=add_html))
-    drawing.show(shown, View(step=step))
-    return "".join(cell.content for cell in cells)
+    page = SimpleNamespace(statistics=None)
+    here: Any = SimpleNamespace(snapshot=shown, view=View(step=step), page=page, own=MapState())
+    return "".join(element.content for element in flat(field_map(here)))
 
 
 def outline_of(svg: str) -> int:
@@ -105,19 +100,38 @@ class _Page:
         self.view, self.moves = View(step=step), []
         self.session = SimpleNamespace(snapshot=shown, move_to=lambda **place: self.moves.append(place))
         self.gui = SimpleNamespace(add_modal=lambda title: self.moves.append(title))
-        self.picks: dict[str, Any] = {}
-
-    def on_pick(self, what: str, act: Any) -> None:
-        self.picks[what] = act
 
     def ask(self, failed: str, future: Any) -> None: ...
 
+    def change(self, **choices: Any) -> None:
+        self.view = replace(self.view, **choices)
 
-def clicked(shown: Snapshot, step: str, what: str, key: str) -> list[Any]:
+
+def clicked(shown: Snapshot, step: str, what: str, key: str, own: MapState = MapState()) -> list[Any]:
     page: Any = _Page(shown, step)
-    MapClicks(page, SimpleNamespace())
-    page.picks[what](key)
-    return page.moves
+    FIELD_PICKS[what](SimpleNamespace(page=page, own=own), key)  # type: ignore[arg-type]
+    return [*page.moves, page.view.show] if step == "surface" else page.moves
+
+
+def test_a_click_on_a_field_of_the_surface_shows_that_field_and_elsewhere_flies_there():
+    flown: list[Any] = []
+    assert clicked(fake.measured(), "surface", "field", "3") == [3]
+    scene = MapState(lambda: ((0.0, 0.0), (200.0, 100.0)), flown.append)
+    assert clicked(fake.measured(), "surface", "place", "5000,-2000", scene) == [0]
+    assert flown == [(4900.0, -2050.0, 5100.0, -1950.0)]
+
+
+def test_the_map_is_drawn_anew_only_if_its_content_has_changed():
+    shown, page = fake.measured(), SimpleNamespace(statistics=None)
+    here: Any = SimpleNamespace(snapshot=shown, view=View(step="surface"), page=page, own=MapState())
+    field_map(here)
+    drawn = here.own.drawing
+    here.snapshot = replace(shown, rig=replace(shown.rig, x_um=77.0))
+    field_map(here)
+    assert here.own.drawing is drawn
+    here.view = View(step="surface", show=2)
+    field_map(here)
+    assert here.own.drawing is not drawn
 
 
 def test_a_click_on_the_map_moves_the_stage_to_fields_of_this_rig_alone():

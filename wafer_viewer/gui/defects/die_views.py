@@ -48,6 +48,12 @@ from wafer_viewer.session.state.snapshot import Snapshot
 TO_DIES = (("Next die with open defects", "pagedown", 1), ("Previous die with open defects", "pageup", -1))
 
 
+def has_die_map(snapshot: Snapshot, view: View) -> bool:
+    """Return whether the map of the dies is shown in place of the field map."""
+    inspection = snapshot.inspection.inspection
+    return view.step == "review" and inspection is not None and bool(inspection.grid and inspection.dies)
+
+
 class DefectMap:
     """Map shown in Review in place of the field map, if the inspection has dies.
 
@@ -78,8 +84,7 @@ class DefectMap:
 
     def show(self, snapshot: Snapshot, view: View) -> bool:
         """Bring the map up to date; return whether it is visible."""
-        inspection = snapshot.inspection.inspection
-        visible = view.step == "review" and inspection is not None and bool(inspection.grid and inspection.dies)
+        inspection, visible = snapshot.inspection.inspection, has_die_map(snapshot, view)
         set_prop(self._folder, "visible", visible)
         if inspection is None or not visible:
             return False

@@ -35,7 +35,7 @@ from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.shell.header import CONFIRMATION_PICKS, HEADER_PICKS, NOT_CONFIRMED, confirmation, header
 from wafer_viewer.gui.shell.header import FAILED as NOT_DRAWN
-from wafer_viewer.gui.shell.left_panel import LeftPanel, MapClicks
+from wafer_viewer.gui.shell.left_panel import LeftPanel, MapState
 from wafer_viewer.gui.shell.saved_views import SavedViews, Viewpoint
 from wafer_viewer.gui.shell.shortcuts import (
     Palette,
@@ -359,10 +359,8 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel) -> None:
     page.on_pick("finding", lambda key: choose_result(page, int(key), scene.fly_to))
     page.on_pick("stage-zero", lambda _: page.change(levelling=Levelling(), range_um=None))
     left.defects.on_chosen(scene.fly_to)
-    left.map.on_camera_view(scene.visible_um)
-    left.map.on_brushed(lambda: page.statistics.brushed if page.statistics is not None else None)
+    left.map.here.own = MapState(scene.visible_um, scene.fly_to)
     left.dies.on_camera_view(scene.visible_um)
-    MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("tool", lambda tool: use_tool(page, tool))
     page.on_pick("look", scene.look_from)

@@ -181,7 +181,7 @@ def _taken_elsewhere(snapshot: Snapshot, view: View) -> bool:
 
 
 def _pill(rig: RigStatus) -> Markup:
-    """Return the rig's pill: REAL with its name in the colour of its state, SIMULATED in amber unless it is at fault."""
+    """Return the rig's pill: REAL with name, in the colour of its state; SIMULATED in amber unless it is at fault."""
     tone = _TONE[rig.state]
     colour = "simulated" if rig.simulated and tone != "fault" else tone
     name = Markup() if rig.simulated else Markup('<u title="{name}">{name} · </u>').format(name=rig.name)

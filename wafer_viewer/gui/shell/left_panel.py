@@ -6,9 +6,10 @@ A second drawing on top shows the camera's view and the results, because it chan
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import viser
 from markupsafe import Markup
@@ -29,8 +30,9 @@ from wafer_viewer.draw.colormaps import BRUSH
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.defects.defect_dialogs import other_marks
 from wafer_viewer.gui.defects.defect_section import DefectSection
-from wafer_viewer.gui.defects.die_views import DefectMap
-from wafer_viewer.gui.elements.step import StepPanel
+from wafer_viewer.gui.defects.die_views import DefectMap, has_die_map
+from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Text
+from wafer_viewer.gui.elements.step import Here, Picks, StepPanel
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
 from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
@@ -47,8 +49,6 @@ from wafer_viewer.gui.steps.live.places import NOT_KEPT, PLACE_PICKS, live_place
 from wafer_viewer.gui.steps.results import NOT_CHANGED, result_list
 from wafer_viewer.gui.steps.surface.comparison import COMPARISON_PICKS, ComparisonForm, comparison_list
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import Gui, HtmlBlock, command_button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.style import LEFT_PX
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
@@ -56,78 +56,115 @@ from wafer_viewer.session.core.dataset_library import REMOVED
 from wafer_viewer.session.rendering.render_request import Brushed
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
-if TYPE_CHECKING:
-    from wafer_viewer.gui.scenes.scene_view import SceneView
-
-
 MOST_MARKS = 400
 """Maximum number of marked review items; more marks would hide each other."""
 MANY_DATASETS = 8
 """Datasets from which the list can be searched."""
+WIDE_UM = 300.0
+"""Side of the area shown around a place if the camera's view of the ground is unbounded."""
+FIND_HINT = "Words of the name, lot, wafer, product, verdict or date, such as lot42 fail 2026-03"
+NOT_MOVED, NOT_LISTED = "The stage did not move", "The list is not complete"
+ICON = viser.Icon
 Drawn = tuple[tuple[Field, ...], dict[int, str], tuple[float, float] | None]
 
 
-class FieldMap:
-    """Map with legend, redrawn only when its content has changed."""
+@dataclass(frozen=True, slots=True)
+class MapState:
+    """Callbacks of the map to the scene, and its latest drawing.
 
-    def __init__(self, gui: Gui) -> None:
-        HtmlBlock(gui, html.head("Map", first=True))
-        self._marks = HtmlBlock(gui)
-        self._map = HtmlBlock(gui)
-        self._camera_view: Callable[[], Outline | None] = lambda: None
-        self._brushed: Callable[[], Brushed | None] = lambda: None
-        self._drawn: tuple[object, ...] | None = None
-        self._frame: MapViewport | None = None
+    camera_view: returns the ground area in the camera's view; fly_to: flies over an area. key: values that the drawing
+    depends on; viewport: that of the drawing, None without one.
+    """
 
-    def on_camera_view(self, view_um: Callable[[], Outline | None]) -> None:
-        """Set the function that returns the ground area in the camera's view."""
-        self._camera_view = view_um
+    camera_view: Callable[[], Outline | None] = lambda: None
+    fly_to: Callable[[tuple[float, float, float, float]], Any] = lambda area: None
+    key: tuple[object, ...] = ()
+    viewport: MapViewport | None = None
+    drawing: Markup = field(default_factory=Markup)
 
-    def on_brushed(self, brushed: Callable[[], Brushed | None]) -> None:
-        """Set the function that returns the brushed points."""
-        self._brushed = brushed
+
+class LeftPanel:
+    """Map, then jobs, saved views, and the lists of the step, such as datasets, defects or results."""
+
+    def __init__(self, page: Page) -> None:
+        self.panel = panel = page.gui.add_panel()
+        with panel.add_tab("Sample"):
+            self.map = StepPanel(page, field_map, MapState(), NOT_MOVED, FIELD_PICKS)
+            self.dies = DefectMap(page)
+            places = StepPanel(page, live_places, None, NOT_KEPT, PLACE_PICKS)
+            works = StepPanel(page, works_and_views, None, NOT_LISTED)
+            self.defects = DefectSection(page)
+            review = StepPanel(page, reviewed, None, NOT_LISTED)
+            gauge = StepPanel(page, check_list, None, NOT_TICKED, CHECK_PICKS)
+            calibrations = StepPanel(page, calibration_list, None, NOT_READ)
+            failed = "The comparison was not changed"
+            self.compare = StepPanel(page, comparison_list, ComparisonForm(), failed, COMPARISON_PICKS)
+            datasets = StepPanel(page, dataset_list, "", "The search failed", DATASET_PICKS)
+            take_drops(page)
+            results = StepPanel(page, result_list, Thumbnails(page), NOT_CHANGED)
+        panel.dock_left()
+        panel.set_width(LEFT_PX)
+        self._parts = (self.map, self.dies, places, works, self.defects, review, gauge, calibrations, self.compare)
+        self._parts = *self._parts, datasets, results
+
+    @property
+    def with_commands(self) -> tuple[DefectSection, DefectMap]:
+        """Sections that have commands of their own."""
+        return self.defects, self.dies
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring map and marks up to date."""
-        key = _redraw_key(snapshot, view)
-        if self._drawn is None or any(a is not b and a != b for a, b in zip(key, self._drawn, strict=True)):
-            self._drawn = key
-            self._draw(snapshot, view)
-        if self._frame is not None and view.at_bench and snapshot.rig.limits is not None:
-            drawing = map_marks_svg(self._frame, _in_view(snapshot.rig, snapshot.rig.limits), [], _live_areas(snapshot))
-            self._marks.show(Markup('<div class="wv-over-map">{}</div>').format(drawing))
-            return
-        if self._frame is None or not view.on_surface:
-            self._marks.show("")
-            return
-        areas = _areas(view, self._brushed())
-        drawing = map_marks_svg(self._frame, self._camera_view() or (), _marks(snapshot, view), areas)
-        self._marks.show(drawing and Markup('<div class="wv-over-map">{}</div>').format(drawing))
+        """Bring the panel up to date."""
+        for part in self._parts:
+            part.show(snapshot, view)
 
-    def _draw(self, snapshot: Snapshot, view: View) -> None:
-        fields, states, size_um = drawn(snapshot, view)
-        of_data = snapshot.dataset is not None and view.step != "plan"
-        overview = snapshot.dataset_overview if of_data else snapshot.overview
-        outline = overview.outline_um if overview else extent_um(snapshot) if of_data and not fields else ()
-        if size_um is None or not (fields or outline):
-            self._frame = None
-            self._map.show(_nothing(snapshot, view))
-            return
-        self._frame = map_frame(fields, *size_um, outline)
-        drawing = field_map_svg(
-            fields,
-            *size_um,
-            states,
-            outline_um=outline,
-            dies_um=overview.dies_um if overview else (),
-            selected=view.show if view.on_surface and view.show > 0 else None,
-            pick="field",
-            pick_place="" if snapshot.scanning else "place",
-        )
-        below = (
-            _legend(states) + _hint(snapshot, view) if fields else html.empty("A surface from a file:", "no fields.")
-        )
-        self._map.show(drawing + below)
+
+def field_map(here: Here[MapState]) -> Elements | None:
+    """Return map and legend, drawn anew only if their content has changed, and the marks over them.
+
+    Gauge checks and dies need the room.
+    """
+    snapshot, view = here.snapshot, here.view
+    if view.step == "gauge" or has_die_map(snapshot, view):
+        return None
+    key = _redraw_key(snapshot, view)
+    if len(key) != len(here.own.key) or any(a is not b and a != b for a, b in zip(key, here.own.key, strict=True)):
+        viewport, drawing = _drawing(snapshot, view)
+        here.own = replace(here.own, key=key, viewport=viewport, drawing=drawing)
+    marks = _over_map(here, here.own.viewport) if here.own.viewport is not None else ""
+    over = Markup('<div class="wv-over-map">{}</div>').format(marks) if marks else ""
+    return [Html(html.head("Map", first=True)), Html(over), Html(here.own.drawing)]
+
+
+def _over_map(here: Here[MapState], viewport: MapViewport) -> Markup | str:
+    snapshot, view, rig = here.snapshot, here.view, here.snapshot.rig
+    if view.at_bench and rig.limits is not None:
+        return map_marks_svg(viewport, _in_view(rig, rig.limits), [], _live_areas(snapshot))
+    if not view.on_surface:
+        return ""
+    statistics = here.page.statistics
+    areas = _areas(view, statistics.brushed if statistics is not None else None)
+    return map_marks_svg(viewport, here.own.camera_view() or (), _marks(snapshot, view), areas)
+
+
+def _drawing(snapshot: Snapshot, view: View) -> tuple[MapViewport | None, Markup]:
+    fields, states, size_um = drawn(snapshot, view)
+    of_data = snapshot.dataset is not None and view.step != "plan"
+    overview = snapshot.dataset_overview if of_data else snapshot.overview
+    outline = overview.outline_um if overview else extent_um(snapshot) if of_data and not fields else ()
+    if size_um is None or not (fields or outline):
+        return None, _nothing(snapshot, view)
+    drawing = field_map_svg(
+        fields,
+        *size_um,
+        states,
+        outline_um=outline,
+        dies_um=overview.dies_um if overview else (),
+        selected=view.show if view.on_surface and view.show > 0 else None,
+        pick="field",
+        pick_place="" if snapshot.scanning else "place",
+    )
+    below = _legend(states) + _hint(snapshot, view) if fields else html.empty("A surface from a file:", "no fields.")
+    return map_frame(fields, *size_um, outline), drawing + below
 
 
 def _in_view(rig: RigStatus, limits: RigLimits) -> Outline:
@@ -268,83 +305,106 @@ def _hint(snapshot: Snapshot, view: View) -> Markup:
     return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(text) if text else Markup()
 
 
-class LeftPanel:
-    """Map, then jobs, saved views, and the lists of the step, such as datasets, defects or results."""
+def go_to_field(here: Here[MapState], chosen: int) -> None:
+    """Move the stage to a field in Plan and Acquire; on a surface show the field, or all on a second click.
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self.panel = panel = page.gui.add_panel()
-        with panel.add_tab("Sample"):
-            self._where = page.gui.add_folder(None)
-            with self._where:
-                self.map = FieldMap(page.gui)
-            self.dies = DefectMap(page)
-            self._places = StepPanel(page, live_places, None, NOT_KEPT, PLACE_PICKS)
-            self._works = HtmlBlock(page.gui)
-            self._views = HtmlBlock(page.gui)
-            self.defects = DefectSection(page)
-            self._review = HtmlBlock(page.gui)
-            self._gauge = StepPanel(page, check_list, None, NOT_TICKED, CHECK_PICKS)
-            self._calibrations = StepPanel(page, calibration_list, None, NOT_READ)
-            failed = "The comparison was not changed"
-            self.compare = StepPanel(page, comparison_list, ComparisonForm(), failed, COMPARISON_PICKS)
-            self._build_datasets()
-            self._results = StepPanel(page, result_list, Thumbnails(page), NOT_CHANGED)
-        panel.dock_left()
-        panel.set_width(LEFT_PX)
-        page.on_pick("open", lambda path: open_dataset(page, Path(path)))
-        page.on_pick("cancel", page.session.cancel)
-        page.on_pick("hold", lambda _: hold_dialog(page, end=False))
-        page.on_pick("hold-end", lambda _: hold_dialog(page, end=True))
+    Nothing moves for data that this rig did not take, because its fields have no stage position here.
+    """
+    page = here.page
+    if page.view.on_surface:
+        page.change(show=0 if page.view.show == chosen else chosen, frame_k=None, slice_z_um=None)
+        return
+    snapshot = page.session.snapshot
+    if _is_elsewhere(snapshot, page.view):
+        return
+    field = next((f for f in drawn(snapshot, page.view)[0] if f.number == chosen), None)
+    if field is not None and not snapshot.scanning:
+        page.ask(NOT_MOVED, page.session.move_to(x_um=field.x_um, y_um=field.y_um))
 
-    @property
-    def with_commands(self) -> tuple[DefectSection, DefectMap]:
-        """Sections that have commands of their own."""
-        return self.defects, self.dies
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the panel up to date."""
-        checking = view.step == "gauge"  # its points and earlier checks need the room, as do defects
-        dies = self.dies.show(snapshot, view)
-        set_prop(self._where, "visible", not checking and not dies)
-        if not dies:
-            self.map.show(snapshot, view)
-        self._works.show(job_list(snapshot, view))
-        reviewing = view.step == "review" and snapshot.surface is not None  # the form or the list needs the room
-        self._views.show("" if checking or reviewing or dies else views_html(snapshot, view))
-        self.defects.show(snapshot, view)
-        self._review.show(review_list(snapshot, view))
-        self._gauge.show(snapshot, view)
-        self._calibrations.show(snapshot, view)
-        self.compare.show(snapshot, view)
-        self._places.show(snapshot, view)
-        set_prop(self._datasets, "visible", view.step in ("plan", "surface") and not view.at_bench)
-        self._show_datasets()
-        self._results.show(snapshot, view)
+def go_to_place(here: Here[MapState], x_um: float, y_um: float) -> None:
+    """Fly to a place of the surface; elsewhere ask whether the stage moves there."""
+    page, snapshot = here.page, here.page.session.snapshot
+    many = len(drawn(snapshot, page.view)[0]) > MOST_SINGLE  # which have no element of their own to be clicked
+    field = field_at(snapshot, page.view, x_um, y_um) if many else None
+    if field is not None:
+        go_to_field(here, field.number)
+    elif page.view.on_surface:
+        _fly(here.own, x_um, y_um)
+    elif snapshot.rig.can_start and not _is_elsewhere(snapshot, page.view):
+        _ask_to_move(page, x_um, y_um)
 
-    def _build_datasets(self) -> None:
-        page = self._page
-        self._datasets = page.gui.add_folder(None, visible=False)
-        with self._datasets:
-            self._datasets_head = HtmlBlock(page.gui)
-            self._find = page.gui.add_text(
-                "Find", "", hint="Words of the name, lot, wafer, product, verdict or date, such as lot42 fail 2026-03"
-            )
-            self._find.on_update(guarded(page, "The search failed")(lambda _: self._show_datasets()))
-            self._list = HtmlBlock(page.gui)
-            self._frames = HtmlBlock(page.gui)
-            opener = command_button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
-            take_drops(page)
-            importer = command_button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
-            in_a_row(page.gui, [opener, importer])
 
-    def _show_datasets(self) -> None:
-        """Show the datasets that match what is searched for."""
-        snapshot = self._page.session.snapshot
-        self._datasets_head.show(html.head("Datasets", _shortened(snapshot.data_folder)))
-        set_prop(self._find, "visible", len(snapshot.datasets) >= MANY_DATASETS or bool(self._find.value))
-        self._list.show(_dataset_rows(snapshot, self._find.value))
-        self._frames.show(frames_card(snapshot))
+FIELD_PICKS: Picks[MapState] = {
+    "field": lambda here, key: go_to_field(here, int(key)),
+    "place": lambda here, key: go_to_place(here, *(float(um) for um in key.split(","))),
+}
+"""Callbacks of clicks on the map; fields are given by number, places in stage um."""
+
+
+def _is_elsewhere(snapshot: Snapshot, view: View) -> bool:
+    """Return whether the map shows data that this rig did not take."""
+    return view.step == "acquire" and snapshot.dataset is not None and not snapshot.is_of_this_rig
+
+
+def _fly(scene: MapState, x_um: float, y_um: float) -> None:
+    """Fly to a place and keep the size of the view."""
+    corners = scene.camera_view()
+    xs, ys = ([corner[k] for corner in corners] for k in (0, 1)) if corners else ((0.0, WIDE_UM), (0.0, WIDE_UM))
+    half_x, half_y = (max(xs) - min(xs)) / 2, (max(ys) - min(ys)) / 2
+    scene.fly_to((x_um - half_x, y_um - half_y, x_um + half_x, y_um + half_y))
+
+
+def _ask_to_move(page: Page, x_um: float, y_um: float) -> None:
+    place = f"X {number(x_um / 1000, 4, signed=True)}, Y {number(y_um / 1000, 4, signed=True)} mm"
+    below = f"To {place}. Z does not change: check that nothing is in the way."
+    move = partial(page.session.move_to, x_um=x_um, y_um=y_um)
+    dialog = Dialog(page, "Move the stage?", below)
+    dialog.answers("Move there", ICON.CROSSHAIR, lambda: page.ask(NOT_MOVED, move()), NOT_MOVED)
+
+
+def works_and_views(here: Here[None]) -> Elements:
+    """Return the running jobs, and the saved views unless the room is needed."""
+    snapshot, view = here.snapshot, here.view
+    reviewing = view.step == "review" and snapshot.surface is not None
+    crowded = view.step == "gauge" or reviewing or has_die_map(snapshot, view)
+    return [Html(job_list(snapshot, view)), Html("" if crowded else views_html(snapshot, view))]
+
+
+def reviewed(here: Here[None]) -> Elements:
+    """Return the list of what is under review."""
+    return [Html(review_list(here.snapshot, here.view))]
+
+
+def dataset_list(here: Here[str]) -> Elements | None:
+    """Return the datasets that match what is searched for, and the buttons that open and import."""
+    snapshot, view, page, words = here.snapshot, here.view, here.page, here.own
+    if view.step not in ("plan", "surface") or view.at_bench:
+        return None
+
+    def find(words: str) -> None:
+        here.own = words
+        here.redraw()
+
+    many = len(snapshot.datasets) >= MANY_DATASETS or bool(words)
+    opener = Button("Open…", partial(open_dialog, page), ICON.FOLDER_OPEN, commands=True)
+    importer = Button("Import…", partial(import_dialog, page), ICON.PHOTO_PLUS, commands=True)
+    return [
+        Html(html.head("Datasets", _shortened(snapshot.data_folder))),
+        Text("Find", words, find, FIND_HINT) if many else None,
+        Html(_dataset_rows(snapshot, words)),
+        Html(frames_card(snapshot)),
+        Buttons([opener, importer]),
+    ]
+
+
+DATASET_PICKS: Picks[str] = {
+    "open": lambda here, path: open_dataset(here.page, Path(path)),
+    "cancel": lambda here, work: here.page.session.cancel(work),
+    "hold": lambda here, _: hold_dialog(here.page, end=False),
+    "hold-end": lambda here, _: hold_dialog(here.page, end=True),
+}
+"""Callbacks of clicks on datasets and jobs."""
 
 
 def _dataset_rows(snapshot: Snapshot, words: str) -> Markup:
@@ -381,67 +441,3 @@ def frames_card(snapshot: Snapshot) -> Markup:
 def _shortened(folder: Path) -> str:
     """Return a path with the home folder abbreviated to ~."""
     return f"~/{folder.relative_to(Path.home())}" if folder.is_relative_to(Path.home()) else str(folder)
-
-
-WIDE_UM = 300.0
-"""Side of the area shown around a place if the camera's view of the ground is unbounded."""
-
-
-class MapClicks:
-    """Click handler of the field map; fields are given by number, places in stage um."""
-
-    def __init__(self, page: Page, scene: SceneView) -> None:
-        self._page, self._scene = page, scene
-        page.on_pick("field", lambda key: self._go_to_field(int(key)))
-        page.on_pick("place", lambda key: self._go_to_place(*(float(um) for um in key.split(","))))
-
-    def _go_to_field(self, chosen: int) -> None:
-        """Move the stage to a field in Plan and Acquire; on a surface show the field, or all on a second click.
-
-        Nothing moves for data that this rig did not take, because its fields have no stage position here.
-        """
-        page = self._page
-        if page.view.on_surface:
-            page.change(show=0 if page.view.show == chosen else chosen, frame_k=None, slice_z_um=None)
-            return
-        snapshot = page.session.snapshot
-        if self._is_elsewhere:
-            return
-        field = next((f for f in drawn(snapshot, page.view)[0] if f.number == chosen), None)
-        if field is not None and not snapshot.scanning:
-            page.ask("The stage did not move", page.session.move_to(x_um=field.x_um, y_um=field.y_um))
-
-    def _go_to_place(self, x_um: float, y_um: float) -> None:
-        page, snapshot = self._page, self._page.session.snapshot
-        many = len(drawn(snapshot, page.view)[0]) > MOST_SINGLE  # which have no element of their own to be clicked
-        field = field_at(snapshot, page.view, x_um, y_um) if many else None
-        if field is not None:
-            self._go_to_field(field.number)
-        elif page.view.on_surface:
-            self._fly(x_um, y_um)
-        elif snapshot.rig.can_start and not self._is_elsewhere:
-            self._ask_to_move(x_um, y_um)
-
-    @property
-    def _is_elsewhere(self) -> bool:
-        """True if the map shows data that this rig did not take."""
-        snapshot, view = self._page.session.snapshot, self._page.view
-        return view.step == "acquire" and snapshot.dataset is not None and not snapshot.is_of_this_rig
-
-    def _fly(self, x_um: float, y_um: float) -> None:
-        """Fly to a place and keep the size of the view."""
-        corners = self._scene.visible_um()
-        xs, ys = ([corner[k] for corner in corners] for k in (0, 1)) if corners else ((0.0, WIDE_UM), (0.0, WIDE_UM))
-        half_x, half_y = (max(xs) - min(xs)) / 2, (max(ys) - min(ys)) / 2
-        self._scene.fly_to((x_um - half_x, y_um - half_y, x_um + half_x, y_um + half_y))
-
-    def _ask_to_move(self, x_um: float, y_um: float) -> None:
-        place = f"X {number(x_um / 1000, 4, signed=True)}, Y {number(y_um / 1000, 4, signed=True)} mm"
-        page = self._page
-        dialog = Dialog(page, "Move the stage?", f"To {place}. Z does not change: check that nothing is in the way.")
-        dialog.answers(
-            "Move there",
-            viser.Icon.CROSSHAIR,
-            lambda: page.ask("The stage did not move", page.session.move_to(x_um=x_um, y_um=y_um)),
-            "The stage did not move",
-        )
