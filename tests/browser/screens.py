@@ -50,7 +50,7 @@ def hide_viser_warning(pages: BrowserContext | Page) -> None:
 
 def remember(page: Page, step: str, dark: bool, **chosen: object) -> None:
     """Have the browser begin in a step, as after a reload."""
-    view = json.dumps({"step": step, "dark": dark, **chosen})
+    view = json.dumps({"step": step, "dark": dark, "theme_chosen": True, **chosen})
     page.add_init_script(f"localStorage.setItem({REMEMBERED!r}, {view!r})")
 
 

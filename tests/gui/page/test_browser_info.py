@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -37,6 +38,7 @@ class PageOfReports:
         self.session = SimpleNamespace()
         self.browser = BrowserIdentity()
         self.viewport = SimpleNamespace(set_size=lambda *size: None)
+        self.view, self.watches_scan = View(), False
         self.main_panel = Panel()
 
     def add_html(self, text: str, order: float | None = None) -> None:
@@ -56,6 +58,9 @@ class PageOfReports:
 
     def redraw(self) -> None:
         pass
+
+    def change(self, **choices: Any) -> None:
+        self.view = replace(self.view, **choices)
 
 
 @pytest.fixture
@@ -98,3 +103,19 @@ def test_a_panel_that_a_person_folded_stays_folded(page: PageOfReports, left: Pa
     page.report(window=1366, left=[38, True], at_ms=3.0)
     assert left.told == ["fold"]
     assert page.browser.layout.left_folded
+
+
+def test_a_page_has_the_colours_of_the_system_until_a_person_chooses(page: PageOfReports, left: Panel):
+    page.report(dark=True)
+    assert page.view.dark
+    page.change(dark=False, theme_chosen=True)
+    page.report(dark=True)
+    assert not page.view.dark
+
+
+def test_a_window_as_narrow_as_a_phone_watches_the_scan(page: PageOfReports, left: Panel):
+    seen = []
+    for window in (390, 0, 1366):
+        page.report(window=window)
+        seen.append(page.watches_scan)
+    assert seen == [True, False, False]

@@ -27,6 +27,8 @@ EDGE_PX = 4
 LEAST_PX, MOST_PX = 200, 720
 """Valid panel widths; others belong to a panel that is folded or being folded."""
 LEAST_SCENE_PX = 440
+PHONE_PX = 700
+"""Width of the window below which the page shows the scan alone, to be watched."""
 _SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
 _SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
 """Substrings of renderer names that mean software rendering."""
@@ -35,7 +37,8 @@ _SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
 class BrowserInfo(msgspec.Struct, frozen=True):
     """Report of a browser: for each side panel its width in CSS pixels, and whether it is folded.
 
-    renderer: WebGL renderer, empty if the browser does not report it; still: the user prefers reduced motion.
+    renderer: WebGL renderer, empty if the browser does not report it; still: the user prefers reduced motion; dark: the
+    user prefers dark colours.
     window: width of the page in CSS pixels, 0 until it is reported; scene: size of the scene, likewise.
     at_ms: when the browser wrote the report, since the page was loaded.
     """
@@ -45,6 +48,7 @@ class BrowserInfo(msgspec.Struct, frozen=True):
     right: tuple[int, bool] | None = None
     renderer: str = ""
     still: bool = False
+    dark: bool = False
     window: int = 0
     scene: tuple[int, int] = (0, 0)
     at_ms: float = 0.0
@@ -111,6 +115,9 @@ class BrowserEvents:
         self._can_fly = may_fly(info)
         self._let_fly(self._can_fly)
         page.viewport.set_size(*info.scene)
+        page.watches_scan = 0 < info.window < PHONE_PX
+        if info.dark != page.view.dark and not page.view.theme_chosen:
+            page.change(dark=info.dark)
         layout = layout_of(info, page.browser.layout)
         if info.left is not None and not info.left[1]:
             self._unfolding = False

@@ -70,6 +70,8 @@ class Page:
         self.statistics: Statistics | None = None
         self.counted_um: Box | None = None
         self.drawn_points = 0
+        self.watches_scan = False
+        """True in a window that is too narrow for more than the scan."""
         self.unavailable: tuple[str, ...] = OPTIONAL_QUANTITIES
         self._at_close: list[Callable[[], None]] = []
         self.answers = Ask(self)
@@ -293,7 +295,7 @@ class Page:
         self._show(self._parts, snapshot)
 
     def _show(self, parts: Sequence[PagePart], snapshot: Snapshot) -> None:
-        view = self.view
+        view = replace(self.view, step="acquire") if self.watches_scan else self.view
         for part in parts:
             guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
 

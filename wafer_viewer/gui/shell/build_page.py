@@ -234,8 +234,9 @@ class StepFallback:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Go to Plan if the step has no content; Review stays while a verdict is pending."""
-        waits = view.step == "review" and awaited(snapshot)
-        if not (possible(view.step, snapshot) or waits):
+        step = self._page.view.step
+        waits = step == "review" and awaited(snapshot)
+        if not (possible(step, snapshot) or waits):
             self._page.change(step="plan")
 
 

@@ -48,10 +48,15 @@ def go_to(page: Page, step: Step) -> None:
         page.say(TITLES[step], f"Not yet: {why}", "attention")
 
 
+def switch_theme(page: Page) -> None:
+    """Change between light and dark colours, whatever the system has."""
+    page.change(dark=not page.view.dark, theme_chosen=True)
+
+
 HEADER_PICKS: Picks[None] = {
     "step": lambda here, key: go_to(here.page, next(step for step in STEPS if step == key)),
     "stop": lambda here, _: stop(here.page),
-    "theme": lambda here, _: here.page.change(dark=not here.page.view.dark),
+    "theme": lambda here, _: switch_theme(here.page),
 }
 CONFIRMATION_PICKS: Picks[None] = {
     "confirm-sample": lambda here, _: here.page.ask(NOT_CONFIRMED, here.page.session.jobs.confirm()),

@@ -43,6 +43,7 @@ from wafer_viewer.gui.page.preconditions import (
 )
 from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.page.work_steps import TITLES
+from wafer_viewer.gui.shell.header import switch_theme
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.steps.acquire import RETAKE, pause_or_resume, retake, why_not_retaken
 from wafer_viewer.gui.steps.measure import MeasureState, keep_result, use_tool, why_not_keep
@@ -319,7 +320,7 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
         *with_precondition(
             nothing_to_redo, Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page")
         ),
-        Command("Light or dark page", "D", lambda: page.change(dark=not page.view.dark), ICON.MOON, "shift", "Page"),
+        Command("Light or dark page", "D", partial(switch_theme, page), ICON.MOON, "shift", "Page"),
     ]
 
 

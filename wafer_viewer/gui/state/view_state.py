@@ -187,6 +187,7 @@ class View:
     depth_shade: strength of the shading in hollows.
     refused: True if points rejected by gates are drawn too.
     before: treatment of points in front of the slab along the active profile line.
+    dark, theme_chosen: dark colours; chosen by a person, else those of the system.
     tour: the running tour; None for none.
     live: True if the step Plan shows the camera.
     jog_step_um: step of the stage in x and y by a key; that in z is a fiftieth.
@@ -208,6 +209,7 @@ class View:
     slice_z_um: float | None = None
     fields: bool = False
     dark: bool = False
+    theme_chosen: bool = False
     tool: Tool = "none"
     lines: tuple[Region, ...] = ()
     line: int = 0
@@ -330,7 +332,7 @@ class View:
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
 EVERYWHERE = (
     *("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark"),
-    *("point_px", "depth_shade", "tour", "live", "jog_step_um", "instrument", "calibration"),
+    *("theme_chosen", "point_px", "depth_shade", "tour", "live", "jog_step_um", "instrument", "calibration"),
 )
 """View settings that apply to every dataset; all others belong to the dataset they were chosen for."""
 OF = "of"

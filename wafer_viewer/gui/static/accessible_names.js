@@ -22,8 +22,13 @@ const nameAll = () => {
       if (stated[text] || at.dataset.tone) at.dataset.tone = stated[text]?.tone ?? '';
     });
   }
+  /* In a narrow window viser stacks all panels and folds them: header and status bar stay in reach. */
+  for (const at of document.querySelectorAll('.mantine-Tabs-root > :is([inert], [aria-hidden=true]):has(.wv-frame)')) {
+    at.inert = false;
+    at.removeAttribute('aria-hidden');
+  }
 };
 let due = 0;
 new MutationObserver(() => { due = due || setTimeout(() => { due = 0; nameAll(); }, 60); })
-  .observe(document.body, { childList: true, subtree: true });
+  .observe(document.body, { childList: true, subtree: true, attributes: true, attributeFilter: ['inert', 'aria-hidden'] });
 nameAll();

@@ -8,6 +8,7 @@ const rendererName = () => {
   return name;
 };
 const renderer = rendererName(), still = matchMedia('(prefers-reduced-motion: reduce)');
+const dark = matchMedia('(prefers-color-scheme: dark)');
 const side = edge => {
   const region = document.querySelector(`[data-dock-region=${edge}]`);
   const folded = region && !!region.querySelector('[data-dock-minimize-all]');
@@ -29,7 +30,7 @@ let reported = '', reportedTo = null;
 const tell = () => {
   const field = document.querySelector('div:has(>.wv-tells)+div input');
   const now = {
-    system: navigator.platform, renderer, still: still.matches, left: side('left'), right: side('right'),
+    system: navigator.platform, renderer, still: still.matches, dark: dark.matches, left: side('left'), right: side('right'),
     window: innerWidth, scene: scene(),
   };
   const text = JSON.stringify(now);
