@@ -27,7 +27,7 @@ from scipy import ndimage
 from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, big_dataset
 from tests.bench.harness import met, read_options, show
 from tests.bench.page_driver import SIZE, Viewer
-from tests.browser.screens import FLAGS, hide_viser_warning, remember
+from tests.browser.screens import FLAGS, remember
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 
 GOAL_S = 0.1
@@ -77,7 +77,6 @@ def measured(dataset: Path, n_moves: int) -> Figures:
             browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
             page = browser.new_context(viewport=SIZE).new_page()
             page.add_init_script(WATCH)
-            hide_viser_warning(page)
             begin(page, viewer.address, dataset)
             figures = moved(page, viewer, n_moves)
             browser.close()

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import BrowserContext, Error, Page, TimeoutError, sync_playwright
 
-from tests.browser.screens import FLAGS, hide_viser_warning, remember
+from tests.browser.screens import FLAGS, remember
 from wafer_viewer.session.rendering.render_process import NICENESS
 
 ROOT = Path(__file__).parents[2]
@@ -165,7 +165,6 @@ class Seat:
     def __init__(self, context: BrowserContext, viewer: Viewer) -> None:
         self.viewer, self._context = viewer, context
         context.add_init_script(WATCH)
-        hide_viser_warning(context)
         self.page = self._new_page()
         remember(self.page, "surface", False)
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from playwright.sync_api import BrowserContext, Page, TimeoutError
 
-from tests.browser.screens import REMEMBERED, hide_viser_warning
+from tests.browser.screens import REMEMBERED
 from tests.browser.sessions.fake_session import FakeSession, empty
 from wafer_viewer.gui.app import Running, start
 
@@ -86,7 +86,6 @@ LEFT_OPEN = """() => {
 def a_page(context: BrowserContext, script: str = SMALL_PICTURE) -> Page:
     """A page with a small picture, not drawn."""
     context.add_init_script(script)
-    hide_viser_warning(context)
     page = context.new_page()
     page.set_default_timeout(PATIENCE_MS)
     return page

@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from playwright.sync_api import BrowserContext, Page, sync_playwright
+from playwright.sync_api import Page, sync_playwright
 
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"),
@@ -32,20 +32,6 @@ The flag replaces Playwright's own: of the features that it switches off, those 
 REMEMBERED = "viser-user:wafer-viewer-view"
 REST_S = 2.5
 """Pictures are taken when the scene has had time to come to rest."""
-
-
-HIDE_WARNING = """
-document.addEventListener('DOMContentLoaded', () => {
-  const style = document.createElement('style');
-  style.textContent = '#webgl-software-rendering { display: none !important }';
-  document.head.append(style);
-});
-"""
-
-
-def hide_viser_warning(pages: BrowserContext | Page) -> None:
-    """Hide viser's own notice that the graphics card is missing, from the next load: it covers the map."""
-    pages.add_init_script(HIDE_WARNING)
 
 
 def remember(page: Page, step: str, dark: bool, **chosen: object) -> None:
@@ -148,7 +134,6 @@ def main() -> int:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         for name in ["tour"] if asked.true else asked.only:
             page = browser.new_context(viewport={"width": width, "height": height}).new_page()
-            hide_viser_warning(page)
             page.set_default_timeout(60_000)
             tour(page, asked.folder, asked.dark) if asked.true else picture(page, asked.folder, name, asked.dark)
             page.context.close()

@@ -20,18 +20,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import viser
+from markupsafe import Markup
 from websockets.asyncio.server import ServerConnection
 
 from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES, UploadStart
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.uploads import refuse_upload
+from wafer_viewer.gui.page.work_steps import TITLES
 from wafer_viewer.gui.security.server import close_server, connection_of, open_server
 from wafer_viewer.gui.shell.build_page import build_page
+from wafer_viewer.gui.shell.header import MARK
 from wafer_viewer.gui.widgets.callbacks import log
 from wafer_viewer.gui.widgets.controls import cache_prop_types
-from wafer_viewer.gui.widgets.html import quicken
+from wafer_viewer.gui.widgets.html import quicken, style_sheet
 from wafer_viewer.gui.widgets.number_field import EMPTY
-from wafer_viewer.gui.widgets.style import read_static
+from wafer_viewer.gui.widgets.style import DARK, LIGHT, read_static
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.network_access import NetworkAccess
 from wafer_viewer.session.files.file_jobs import read_report
@@ -136,7 +139,7 @@ def start(
     keep_log()
     quicken()
     cache_prop_types()
-    server, guard = open_server(host, _free(host, port), token, network, page_script())
+    server, guard = open_server(host, _free(host, port), token, network, page_script(), page_shell())
     guard.report = lambda name: read_report(name, _report_folders(session), session.papers.saved_reports)
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
@@ -218,7 +221,20 @@ def _free(host: str, port: int) -> int:
         return trial.getsockname()[1]
 
 
+@cache
+def page_shell() -> str:
+    """Return the page as it is before the first state comes: regions, name and steps, in the colours of the system."""
+    steps = Markup("").join(Markup("<b>{}</b>").format(title) for title in TITLES.values())
+    light, dark = (";".join(f"--{name}:{value}" for name, value in colours.items()) for colours in (LIGHT, DARK))
+    dark_rule = f"@media(prefers-color-scheme:dark){{#wv-shell{{{dark}}}}}"
+    return style_sheet(f"#wv-shell{{{light}}}{dark_rule}{read_static('shell.css')}") + Markup(
+        '<div id="wv-shell" aria-hidden="true"><header>{}<strong>Wafer Viewer</strong><nav>{}</nav></header>'
+        "<aside></aside><main></main><aside>Opening the page …</aside><footer></footer></div>"
+    ).format(MARK, steps)
+
+
 SCRIPTS = (
+    "shell.js",
     "events.js",
     "accessible_names.js",
     "clicks.js",

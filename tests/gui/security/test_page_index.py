@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import pytest
 import viser
 
-from wafer_viewer.gui.app import SCRIPTS, page_script
+from wafer_viewer.gui.app import SCRIPTS, page_script, page_shell
 from wafer_viewer.gui.security import access_guard
 from wafer_viewer.gui.security.access_guard import AccessGuard, PageIndex
 from wafer_viewer.gui.security.server import open_server
@@ -62,3 +62,12 @@ def test_a_page_whose_scripts_are_elsewhere_does_not_start(tmp_path: Path, monke
 def test_every_script_is_in_the_one_of_the_page_and_none_can_end_it_early() -> None:
     assert sorted(SCRIPTS) == sorted(path.name for path in FOLDER.glob("*.js"))
     assert "</script" not in page_script().lower()
+
+
+def test_the_page_has_its_regions_and_steps_before_its_scripts_run() -> None:
+    html, _ = PageIndex(SCRIPT, page_shell()).answer()
+    body = html.decode().partition("<body>")[2]
+    assert body.startswith("<style>#wv-shell")
+    assert "<b>Gauge check</b>" in body
+    assert "prefers-color-scheme:dark" in body
+    assert "<script" not in body

@@ -115,6 +115,7 @@ class BrowserEvents:
         self._can_fly = may_fly(info)
         self._let_fly(self._can_fly)
         page.viewport.set_size(*info.scene)
+        page.draws_slowly = draws_slowly(info)
         page.watches_scan = 0 < info.window < PHONE_PX
         if info.dark != page.view.dark and not page.view.theme_chosen:
             page.change(dark=info.dark)
@@ -165,8 +166,13 @@ def is_cramped(info: BrowserInfo, layout: PanelLayout) -> bool:
 
 def may_fly(info: BrowserInfo) -> bool:
     """Return whether the camera may be animated: hardware rendering, and no preference for reduced motion."""
+    return not info.still and not draws_slowly(info)
+
+
+def draws_slowly(info: BrowserInfo) -> bool:
+    """Return whether the browser draws without a graphics card."""
     renderer = info.renderer.lower()
-    return not info.still and not any(name in renderer for name in _SOFTWARE)
+    return any(name in renderer for name in _SOFTWARE)
 
 
 def system_name(platform: str) -> str:

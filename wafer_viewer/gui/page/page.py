@@ -70,6 +70,8 @@ class Page:
         self.statistics: Statistics | None = None
         self.counted_um: Box | None = None
         self.drawn_points = 0
+        self.draws_slowly = False
+        """True if the browser draws the scene without a graphics card."""
         self.watches_scan = False
         """True in a window that is too narrow for more than the scan."""
         self.unavailable: tuple[str, ...] = OPTIONAL_QUANTITIES

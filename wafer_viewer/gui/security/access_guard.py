@@ -167,9 +167,11 @@ _NO_TOKEN = (
 class AccessGuard:
     """Request checks of one server, and the address that passes them."""
 
-    def __init__(self, host: str, token: str, network: NetworkAccess | None = None, script: str = "") -> None:
+    def __init__(
+        self, host: str, token: str, network: NetworkAccess | None = None, script: str = "", shell: str = ""
+    ) -> None:
         self._host = host
-        self._index = PageIndex(script)
+        self._index = PageIndex(script, shell)
         self._token = token
         self._scheme = "https" if network else "http"
         self._login = Login(network.password) if network else None
@@ -328,6 +330,7 @@ def _hardened(response: Response) -> Response:
 
 INDEX = Path(viser.__file__).parent / "client" / "build" / "index.html"
 _PACKED, _UNPACKED, _END = b"<script data-p=", b'const e=document.createElement("script");', b"</head>"
+_BEGIN = b"<body>"
 
 
 class PageIndex:
@@ -335,12 +338,13 @@ class PageIndex:
 
     viser's page is one script that unpacks another and adds it to the page, so that both need the nonce.
 
-    script: that of the program. Raises WaferViewerError if viser's scripts are not where they are expected.
+    script: that of the program; shell: HTML that is shown until the scripts have drawn. Raises WaferViewerError if
+    viser's scripts are not where they are expected.
     """
 
-    def __init__(self, script: str) -> None:
+    def __init__(self, script: str, shell: str = "") -> None:
         html = INDEX.read_bytes()
-        if [html.count(mark) for mark in (b"<script", _PACKED, _UNPACKED, _END)] != [1, 1, 1, 1]:
+        if [html.count(mark) for mark in (b"<script", _PACKED, _UNPACKED, _END, _BEGIN)] != [1] * 5:
             raise WaferViewerError(
                 "The page did not start, because its scripts could not be told from others: reinstall the program "
                 f"together with its dependencies (viser here is {viser.__version__})."
@@ -352,7 +356,7 @@ class PageIndex:
             before + b'<script nonce="',
             b'" data-p=' + packed + _UNPACKED + b'e.nonce="',
             b'";' + unpacking + b'<script nonce="',
-            b'">' + script.encode() + b"</script>" + _END + rest,
+            b'">' + script.encode() + b"</script>" + _END + rest.replace(_BEGIN, _BEGIN + shell.encode()),
         )
 
     def answer(self) -> tuple[bytes, str]:

@@ -33,16 +33,22 @@ _patching = threading.Lock()
 
 
 def open_server(
-    host: str, port: int, token: str | None = None, network: NetworkAccess | None = None, script: str = ""
+    host: str,
+    port: int,
+    token: str | None = None,
+    network: NetworkAccess | None = None,
+    script: str = "",
+    shell: str = "",
 ) -> tuple[viser.ViserServer, AccessGuard]:
     """Open a viser server that is guarded from its first request on and cannot be shared through a tunnel.
 
-    network: TLS and password, required for every host but loopback; script: what the page runs.
+    network: TLS and password, required for every host but loopback; script: what the page runs; shell: HTML of the page
+    until it runs.
 
     Raises WaferViewerError if they are missing, or if the server answers a request without the token.
     """
     require_protected(host, network)
-    guard = AccessGuard(host, token or new_token(), network, script)
+    guard = AccessGuard(host, token or new_token(), network, script, shell)
     wake_senders_on_their_loop()
     with _guarding(guard, network and network.certificate.context), _without_words():
         server = viser.ViserServer(host=host, port=port, verbose=False)

@@ -104,6 +104,7 @@ def _status(here: Here[None]) -> Markup:
         calibration(snapshot, view, datetime.date.today()),
         *surface(info, page.statistics, view),
         placement(info),
+        SLOW_GRAPHICS if page.draws_slowly else ("", "", ""),
     ]
     items = [_item(*words) for words in entries if words[0]]
     left = Markup("").join([*items, Markup('<span class="wv-xyz">{}</span>').format(where(snapshot, view))])
@@ -120,7 +121,7 @@ _ICONS: dict[Step, Any] = {
     "review": viser.Icon.LIST_CHECK,
     "report": viser.Icon.FILE_TEXT,
 }
-_MARK = Markup(
+MARK = Markup(
     '<svg width="34" height="34" viewBox="0 0 34 34" aria-hidden="true"><g fill="none" stroke="var(--accent)">'
     '<circle cx="17" cy="17" r="15.5" stroke-width="2"/>'
     '<path d="M4 21h6l2.5-9H21l2.5 9H30" stroke-width="2.6" stroke-linejoin="round"/></g></svg>'
@@ -149,7 +150,7 @@ def _mark(snapshot: Snapshot) -> Markup:
             data.path.stem,
         )
     words = Markup('<b><span>Wafer Viewer</span>{}</b><small title="{}">{}</small>').format(sign, name, name)
-    return Markup('<div class="wv-mark">{}<div>{}</div></div>').format(_MARK, words)
+    return Markup('<div class="wv-mark">{}<div>{}</div></div>').format(MARK, words)
 
 
 def _state(snapshot: Snapshot, view: View) -> Markup:
@@ -214,6 +215,10 @@ _MOTION = {
 }
 Words = tuple[str, str, str]
 """Text, tone ('' for none) and tooltip of an item."""
+SLOW_GRAPHICS: Words = (
+    *("Slow graphics", ""),
+    "The browser draws without a graphics card: switch hardware acceleration on in its settings.",
+)
 
 
 def job_shown(snapshot: Snapshot, view: View) -> Job | None:
