@@ -24,6 +24,10 @@ pytestmark = [
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
+HIT = """element => {
+  const box = element.getBoundingClientRect();
+  return element.contains(document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2));
+}"""
 BAR = ".wv-bar-over"
 RED, GREEN, AMBER = "rgb(180, 35, 24)", "rgb(24, 121, 78)", "rgb(255, 241, 214)"
 Start = Callable[[], tuple[subprocess.Popen[str], str]]
@@ -81,6 +85,8 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     expect(bar).to_have_css("background-color", AMBER)
     expect(bar).to_contain_text(re.compile(r"The instrument was restarted at \d\d:\d\d:\d\d"))
     expect(bar).to_contain_text("Nothing moves before the sample is confirmed.")
+    for seen in (page.locator(".wv-nav button").first, page.locator(".wv-tools").first):
+        eventually(lambda at=seen: at.evaluate(HIT), "the bar lies over neither the steps nor the tools")
     bar.get_by_role("button", name="Look, and confirm the sample").click()
     expect(bar).to_be_hidden()
     expect(page.get_by_text("You hold the controls")).to_be_visible()  # before that a command is refused with a note

@@ -7,7 +7,10 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from tests.browser.screens import REMEMBERED
 from tests.browser.sessions import fake_session as fake
+from tests.browser.steps import eventually, go_to
+from tests.gui.shell.test_tour_guide import of_tour
 from wafer_viewer.gui.app import start
 
 pytestmark = [
@@ -17,6 +20,17 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
 
+TOUR = '{"step": "surface", "tour": {"since_s": 1.0, "ended_s": null, "skipped": 0}}'
+COVERED = """() => {
+  const note = document.querySelector('.wv-tour').getBoundingClientRect(), over = [];
+  for (const glass of document.querySelectorAll('.wv-glass')) {
+    const box = glass.getBoundingClientRect();
+    if (box.width && note.left < box.right && box.left < note.right && note.top < box.bottom && box.top < note.bottom)
+      over.push(glass.className);
+  }
+  return over;
+}"""
+"""Glass over the scene that the note covers."""
 SILENT = "window.Worker = class { postMessage() {} terminate() {} addEventListener() {} };"
 """viser's client speaks with the program in a worker."""
 
@@ -51,3 +65,17 @@ def test_slow_graphics_are_told_at_the_foot_and_not_over_the_tools(serve_anew: C
     page = serve_anew(fake.FakeSession(fake.planned()))
     expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")
     expect(page.get_by_text("Software WebGL rendering detected")).to_be_hidden()
+
+
+@pytest.mark.parametrize("size", [(1366, 768), (1920, 1080)])
+def test_the_note_of_the_tour_lies_over_no_tools(serve_anew: Callable[[fake.FakeSession], Page], size: tuple[int, int]):
+    session = fake.FakeSession(of_tour(fake.measured(), findings=()))
+    page = serve_anew(session)
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.evaluate(f"localStorage.setItem({REMEMBERED!r}, '{TOUR}')")
+    page.reload()
+    note = page.locator(".wv-tour")
+    for step in ("Surface", "Measure", "Plan"):
+        go_to(page, step)
+        expect(note).to_be_visible()
+        eventually(lambda: page.evaluate(COVERED) == [], f"the note covers nothing in {step}")

@@ -52,7 +52,7 @@ def test_one_browser_holds_the_controls_and_passes_them_on(serve: Serve, look_at
 
     ben.get_by_role("button", name="Ask for them").click()
     put(ben, text_field(ben, "Your name"), "Ben")
-    press(ben, "Ask for the controls")
+    press(ben, "Ask for control")
     question = anna.get_by_role("alertdialog", name="Ben asks for the controls")
     question.get_by_role("button", name="Keep").click()
     expect(ben.locator(".mantine-Notification-root", has_text="keeps the controls")).to_be_visible()

@@ -142,6 +142,8 @@ WAYS_TO_LOOK = (
 _WIDTH_PX, _HEIGHT_PX = 520, 42
 NARROW_SCENE_PX = 640
 """Scene width below which the toolbar shows icons only, to clear the legend."""
+NAMED_SCENE_PX = 1080
+"""Scene width from which the tools show their names."""
 _SIDE_TOOLS_PX = 124 + 2 * EDGE_PX + 8
 """Width reserved for the colour bar: in a narrow scene the tools take two rows."""
 
@@ -162,7 +164,7 @@ class Toolbar:
         scene_px = self._viewport.width_px
         short = measuring or 0 < scene_px < NARROW_SCENE_PX
         looks = Markup("").join(_preset(*preset, short=short) for preset in WAYS_TO_LOOK)
-        parts = tool_strip(view.tool) + GAP + looks if measuring else looks
+        parts = tool_strip(view.tool, scene_px >= NAMED_SCENE_PX) + GAP + looks if measuring else looks
         if view.step == "surface":
             parts += GAP + _select(view.selecting)
         if view.step == "plan":
@@ -178,7 +180,8 @@ class Toolbar:
         content = Markup('<div class="wv-glass wv-tools{}"{}>{}</div>').format(
             " many" if measuring else "", room, parts
         )
-        self._panel.show(content, height_px=2 * _HEIGHT_PX if two_rows else _HEIGHT_PX)
+        width_px = max(_WIDTH_PX, scene_px - _SIDE_TOOLS_PX)
+        self._panel.show(content, height_px=2 * _HEIGHT_PX if two_rows else _HEIGHT_PX, width_px=width_px)
 
 
 def _preset(key: str, name: str, hint: str, sign: Any, short: bool) -> Markup:

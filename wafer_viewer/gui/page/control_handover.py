@@ -167,7 +167,7 @@ def control_dialog(page: Page) -> None:
     if holds:
         dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed", needs_control=False)
     else:
-        verb = "Ask for the controls" if control.holder else "Take the controls"
+        verb = "Ask for control" if control.holder else "Take control"
         dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over", needs_control=False)
 
 

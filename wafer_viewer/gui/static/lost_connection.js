@@ -1,5 +1,5 @@
-/* The bar over the header while the program cannot be reached, and for a moment afterwards. It works without the
-   program: what it says was put into the page while there was contact. */
+/* The bar over the header while the program cannot be reached, and for a moment afterwards; after a restart below it, so
+   that the steps stay in reach. It works without the program: what it says was put into the page while there was contact. */
 /* viser tries to connect again only in the window that has the focus; an instrument's page often has not. */
 document.hasFocus = () => true;
 
@@ -23,7 +23,9 @@ document.head.insertAdjacentHTML('beforeend', `<style>
   .wv-bar-over > div:first-of-type { flex: 1; min-width: 0; }
   .wv-bar-over b { display: block; font-size: 17px; font-weight: 650; }
   .wv-bar-over.lost { background: #B42318; color: #FFFFFF; }
-  .wv-bar-over.back, .wv-bar-over.anew { right: var(--stop-right, 404px); }
+  .wv-bar-over.back { right: var(--stop-right, 404px); }
+  .wv-bar-over.anew { top: 56px; }
+  body.wv-anew #root { padding-top: 112px; }
   .wv-bar-over.back { background: #18794E; color: #FFFFFF; }
   .wv-bar-over.anew { background: #FFF1D6; color: #5E3900; }
   .wv-bar-over .box { flex: none; display: flex; gap: 10px; align-items: center; padding: 4px 12px; white-space: pre-line;
@@ -47,6 +49,7 @@ const show = (look, html) => {
   bar.className = `wv-bar-over ${look} ${look && 'on'}`;
   bar.setAttribute('role', look === 'lost' ? 'alert' : 'status');
   bar.innerHTML = html;
+  document.body.classList.toggle('wv-anew', look === 'anew');
 };
 /* Pale, and out of reach of pointer and keyboard: also what viser laid beside its root. */
 const reachable = yes => {

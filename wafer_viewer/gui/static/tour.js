@@ -9,11 +9,14 @@ const target = note => {
   /* The left panel is folded away in a narrow window: what lies in it is behind its handle. */
   return all.length || !button ? all.filter(inSight).at(-1) : folded();
 };
-/* The top of a note that would lie over the scale bar, moved above the bar. */
-const clearOfScale = (left, top, width, height) => {
-  const scale = document.querySelector('.wv-scale')?.getBoundingClientRect();
-  const beside = !scale?.width || left > scale.right + EDGE || left + width < scale.left - EDGE;
-  return beside || top + height < scale.top - EDGE ? top : Math.max(TOP, scale.top - EDGE - height);
+/* The top nearest to `top` at which a note lies over no tools, legend or bar of the scene. */
+const clear = (left, top, width, height) => {
+  const boxes = [...document.querySelectorAll('.wv-glass')].map(at => at.getBoundingClientRect())
+    .filter(box => box.width && left < box.right + EDGE && left + width > box.left - EDGE);
+  const fits = y => y >= TOP && y + height <= innerHeight - BOTTOM - EDGE
+    && boxes.every(box => y >= box.bottom + EDGE || y + height <= box.top - EDGE);
+  const tops = [top, ...boxes.flatMap(box => [box.bottom + EDGE, box.top - EDGE - height])].filter(fits);
+  return tops.sort((a, b) => Math.abs(a - top) - Math.abs(b - top))[0] ?? top;
 };
 let brought = '';
 const place = () => {
@@ -27,7 +30,7 @@ const place = () => {
   brought = aim ? key : '';
   const { width, height } = note.getBoundingClientRect();
   ring.style.display = arrow.style.display = aim ? 'block' : 'none';
-  let left = EDGE + 300, top = clearOfScale(EDGE + 300, innerHeight - BOTTOM - EDGE - height, width, height);
+  let left = EDGE + 300, top = clear(EDGE + 300, innerHeight - BOTTOM - EDGE - height, width, height);
   if (aim) {
     const box = aim.getBoundingClientRect();
     Object.assign(ring.style, {
@@ -40,7 +43,7 @@ const place = () => {
     top = below ? box.bottom + GAP : middle - height / 2;
     left = Math.min(Math.max(left, EDGE), innerWidth - width - EDGE);
     top = Math.min(Math.max(top, below ? 0 : TOP), innerHeight - BOTTOM - EDGE - height);
-    top = clearOfScale(left, top, width, height);
+    top = clear(left, top, width, height);
     const side = below ? 'up' : toLeft ? 'right' : 'left';
     arrow.className = `wv-tour-arrow ${side}`;
     Object.assign(arrow.style, below

@@ -32,12 +32,15 @@ def hint(tool: MeasuringTool) -> str:
     return f"{tool.title}{keys}"
 
 
-def tool_strip(chosen: Tool) -> Markup:
-    """Return the toolbar icons; the active tool shows its name, in place of the last group if it is not listed."""
+def tool_strip(chosen: Tool, named: bool) -> Markup:
+    """Return the tools of the toolbar: icons, with their names if there is room (`named`).
+
+    The active tool has its name always, and stands in place of the last group if it is not listed.
+    """
     groups = ON_TOOLBAR
     if (tool := TOOLS.get(chosen)) is not None and not tool.on_toolbar:
         groups = (*ON_TOOLBAR[:-1], (tool,))
-    return GAP.join(Markup("").join(_icon(tool, tool.name == chosen) for tool in group) for group in groups)
+    return GAP.join(Markup("").join(_icon(tool, tool.name == chosen, named) for tool in group) for group in groups)
 
 
 def tool_cards() -> Markup:
@@ -50,8 +53,8 @@ def tool_cards() -> Markup:
     )
 
 
-def _icon(tool: MeasuringTool, chosen: bool) -> Markup:
-    on, word = (Markup(' class="on"'), tool.short) if chosen else ("", "")
+def _icon(tool: MeasuringTool, chosen: bool, named: bool) -> Markup:
+    on, word = Markup(' class="on"') if chosen else "", tool.short if chosen or named else ""
     label = Markup('title="{}" aria-label="{}"').format(hint(tool), tool.short)
     return Markup("<span{on} {label} {pick}>{icon}{word}</span>").format(
         on=on, label=label, pick=html.pick("tool", tool.name), icon=html.icon(icon_of(tool), 17), word=word
