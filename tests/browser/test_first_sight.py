@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.browser.screens import REMEMBERED
 from tests.browser.sessions import fake_session as fake
-from tests.browser.steps import eventually, go_to
+from tests.browser.steps import eventually, go_to, title_is
 from tests.gui.shell.test_tour_guide import of_tour
 from wafer_viewer.gui.app import start
 
@@ -79,3 +79,25 @@ def test_the_note_of_the_tour_lies_over_no_tools(serve_anew: Callable[[fake.Fake
         go_to(page, step)
         expect(note).to_be_visible()
         eventually(lambda: page.evaluate(COVERED) == [], f"the note covers nothing in {step}")
+
+
+def test_the_focus_goes_to_what_the_tour_points_at_and_to_what_follows_a_button_that_goes(
+    serve_anew: Callable[[fake.FakeSession], Page],
+):
+    page = serve_anew(fake.FakeSession(of_tour(fake.measured(), findings=())))
+    page.evaluate(f"localStorage.setItem({REMEMBERED!r}, '{TOUR}')")
+    page.reload()
+    expect(page.locator(".wv-tour")).to_have_attribute("data-button", "Measure this surface")
+    page.keyboard.press("Tab")
+    aim = page.get_by_role("button", name="Measure this surface")
+    aim.focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("[data-pick=tool][data-k=step]").first).to_be_focused()
+    page.keyboard.press("Enter")
+    title_is(page, "Step height")
+    page.keyboard.press("Escape")
+    expect(page.locator(".wv-tour")).to_have_count(0)
+    page.get_by_text("All tools").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator(".wv-cards").first).to_be_visible()
+    eventually(lambda: page.evaluate("document.activeElement !== document.body"), "the focus is not lost", 20.0)

@@ -23,15 +23,28 @@ document.addEventListener('pointerup', event => {
   window.wvClick(now, { clientX, clientY, detail: 1 });
 }, true);
 
-/* What has the focus, and is drawn anew, keeps it: its successor has the same purpose. */
-let focused = null;
+/* What has the focus, and is drawn anew, keeps it: its successor has the same purpose. Focus that a press by key took away
+   with its button goes to what followed it. */
+const REACHED = 'a[href], button, input, select, textarea, [role=button], [role=slider]';
+const OUT_OF_REACH = ':disabled, [data-disabled], [tabindex="-1"], [aria-hidden=true]';
+const TAKEN_MS = 5000;
+const reachable = at => at.isConnected && !at.matches(OUT_OF_REACH) && at.getClientRects().length > 0 && !at.closest('[inert]');
+let focused = null, following = [], pressedAt = 0;
 document.addEventListener('focusin', event => { focused = clickable(event.target); }, true);
-new MutationObserver(() => {
-  if (!focused || focused.isConnected) return;
-  const before = focused;
-  focused = null;
+window.addEventListener('keydown', event => {
+  if (event.key !== 'Enter' && event.key !== ' ') return;
+  const all = [...document.querySelectorAll(REACHED)], at = all.indexOf(event.target);
+  [following, pressedAt] = [at < 0 ? [] : [...all.slice(at + 1), ...all.slice(0, at).reverse()], Date.now()];
+}, true);
+const keepFocus = () => {
   if (document.activeElement !== document.body) return;
-  const { pick, k } = before.dataset;
-  const same = at => at.dataset.k === k && at.tagName === before.tagName && at.getClientRects().length > 0;
-  [...document.querySelectorAll(`[data-pick="${pick}"]`)].find(same)?.focus({ preventScroll: true });
-}).observe(document.body, { childList: true, subtree: true });
+  const before = focused && !focused.isConnected ? focused : null;
+  focused = null;
+  const same = at => at.dataset.k === before.dataset.k && at.tagName === before.tagName && reachable(at);
+  const successor = before && [...document.querySelectorAll(`[data-pick="${before.dataset.pick}"]`)].find(same);
+  const next = Date.now() - pressedAt < TAKEN_MS ? following.find(reachable) : null;
+  (successor ?? next)?.focus({ preventScroll: !!successor });
+};
+new MutationObserver(keepFocus).observe(document.body, {
+  childList: true, subtree: true, attributes: true, attributeFilter: ['disabled', 'data-disabled'],
+});

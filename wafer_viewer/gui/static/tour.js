@@ -18,7 +18,10 @@ const clear = (left, top, width, height) => {
   const tops = [top, ...boxes.flatMap(box => [box.bottom + EDGE, box.top - EDGE - height])].filter(fits);
   return tops.sort((a, b) => Math.abs(a - top) - Math.abs(b - top))[0] ?? top;
 };
-let brought = '';
+/* Who works by key comes to what the note points at without a way there. */
+let brought = '', byKey = false;
+document.addEventListener('keyup', () => { byKey = true; }, true);
+document.addEventListener('pointerdown', () => { byKey = false; }, true);
 const place = () => {
   const note = document.querySelector('.wv-tour');
   if (!note) return;
@@ -27,6 +30,7 @@ const place = () => {
   const press = note.querySelector('.wv-tour-press');
   if (press) press.style.visibility = aim ? 'visible' : 'hidden';
   if (aim && brought !== key) aim.scrollIntoView({ block: 'nearest' });
+  if (aim && byKey && (brought !== key || document.activeElement === document.body)) aim.focus();
   brought = aim ? key : '';
   const { width, height } = note.getBoundingClientRect();
   ring.style.display = arrow.style.display = aim ? 'block' : 'none';
