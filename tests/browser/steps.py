@@ -13,7 +13,6 @@ import numpy as np
 from playwright.sync_api import Locator, Page, TimeoutError, expect
 
 from wafer_viewer.gui.scene.camera_presets import FOV_RAD
-from wafer_viewer.session.state.snapshot import Fault
 
 HAND_MS = 80
 ANSWER_MS = 2000
@@ -93,11 +92,6 @@ def eventually(holds: Callable[[], bool], what: str, within_s: float = 120.0) ->
 def notes(page: Page) -> Locator:
     """The standing notes of faults."""
     return page.locator(".wv-note.fault")
-
-
-def words_of(fault: Fault) -> str:
-    """What a note says."""
-    return f"{fault.title}{fault.text}"
 
 
 def stored(page: Page, what: str) -> dict:

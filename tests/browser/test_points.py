@@ -101,10 +101,6 @@ def choose(page: Page, name: str) -> None:
     page.get_by_role("button", name=name, exact=True).last.click()
 
 
-def whole_number(text: str) -> int:
-    return int(re.sub(r"\D", "", text))
-
-
 def test_refused_points_are_drawn_by_reason_and_counted(page: Page, opened: tuple[Session, HeightMap]):
     session, field = opened
     assert field.refused is not None

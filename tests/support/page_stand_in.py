@@ -10,7 +10,7 @@ import numpy as np
 from tests.support import surfaces
 from tests.support.plans import plan_without_motion
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
@@ -124,13 +124,3 @@ def snapshot_of(surface: HeightMap, plan: ScanPlan, job: Job, done: tuple[int, .
         high_um=float(high),
     )
     return Snapshot(rig=RigStatus(state="ready"), dataset=data, surface=info if done is None else None)
-
-
-def field_surfaces(full: HeightMap, fields: tuple[Field, ...]) -> dict[int, HeightMap]:
-    """The parts of a surface that fields cover."""
-    parts: dict[int, HeightMap] = {}
-    for f in fields:
-        col = round((f.x_um - (COLS - 1) / 2 * PIXEL_UM - full.x0_um) / PIXEL_UM)
-        row = round((full.y0_um - f.y_um - (ROWS - 1) / 2 * PIXEL_UM) / PIXEL_UM)
-        parts[f.number] = full.crop(slice(max(0, row), row + ROWS), slice(max(0, col), col + COLS))
-    return parts
