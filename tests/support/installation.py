@@ -42,11 +42,12 @@ def build_wheel(source: Path, out: Path) -> Path:
 
 def install_wheel(wheel: Path, folder: Path) -> Path:
     """Make an environment with the wheel; what it needs is taken from this one. Return its folder of programs."""
-    venv.create(folder, with_pip=True)
+    venv.create(folder)
     programs = folder / ("Scripts" if os.name == "nt" else "bin")
     code = "import sysconfig; print(sysconfig.get_path('purelib'))"
     site = run(programs / "python", "-c", code, cwd=folder).stdout.strip()
-    done = run(programs / "python", "-m", "pip", "install", "--no-deps", "--no-index", wheel, cwd=folder)
+    pip = (sys.executable, "-m", "pip", "--python", programs / "python")
+    done = run(*pip, "install", "--no-deps", "--no-index", wheel, cwd=folder)
     if done.returncode:
         raise RuntimeError(done.stderr)
     # A folder of a .pth file comes last, and its own .pth files, as that of this checkout, are not read.
