@@ -109,12 +109,13 @@ step() {
 }
 
 show_times() {
+  if [ -n "${types:-}" ]; then kill "$types" 2>/dev/null || true; fi
   printf '\n== In all %d s\n' "$SECONDS"
   printf '%s\n' "${took[@]}"
 }
 trap show_times EXIT
 
-# The types keep one processor busy for half a minute: the tests have the rest of it.
+# The types keep one processor busy for half a minute: the other one has the linter and its like meanwhile.
 start_types() {
   types_told="$(mktemp)"
   "$bin/pyright" --pythonpath "$bin/python" >"$types_told" 2>&1 &
@@ -124,6 +125,7 @@ start_types() {
 end_types() {
   local failed=0
   wait "$types" || failed=$?
+  types=
   cat "$types_told"
   rm "$types_told"
   return "$failed"
@@ -157,7 +159,7 @@ all_campaigns() {
 
 # All tests but those that need the machine for themselves and those of the page, whose imports alone take seconds.
 run_beside_browser() {
-  run_tests -n 2 --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $1"
+  run_tests -n "$1" --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $2"
 }
 
 # The modules of the Python API, where whatever a function raises itself is to be documented too.
@@ -234,16 +236,17 @@ fi
 bin="$venv/bin"
 export PATH="$bin:$PATH"
 if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
+  start_types
   step "Lint" "$bin/ruff" check --quiet .
   step "Docstrings" check_docstrings
   step "Format" "$bin/ruff" format --check --quiet .
   step "Layers" "$bin/lint-imports"
-  start_types
   if [ "$what" = fast ]; then
-    step "Fast tests" run_beside_browser "not slow"
+    step "Fast tests" run_beside_browser 2 "not slow"
   fi
   if [ "$what" = all ]; then
-    step "Tests, fast and slow" run_beside_browser "not hardware"
+    # One worker more than processors: those of cameras, boards and live pictures wait most of their time.
+    step "Tests, fast and slow" run_beside_browser 3 "not hardware"
   fi
   step "Types" end_types
 fi
