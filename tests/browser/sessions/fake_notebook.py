@@ -106,6 +106,6 @@ class FakePapers(Recording):
             failed: Future[Path] = Future()
             failed.set_exception(self.fails_with)
             return failed
-        path = path or self.folder / "memory-report-1.html"
+        path = self.folder / (path.name if path else "memory-report-1.html")
         path.write_text(f"<h1>{order.title}</h1>")
         return done(path)
