@@ -64,10 +64,18 @@ _PAGES = itertools.count()
 """Each page has a port of its own: one that waits for its program must not come to that of another."""
 AWAY = "document.hasFocus = () => false; window.dispatchEvent(new Event('blur'))"
 """viser's client tries to connect again only in a window that has the focus."""
-FORGET = (
-    "localStorage.clear(); sessionStorage.clear(); document.activeElement?.blur(); scrollTo(0, 0);"
-    "window.drawsScene = false"
-)
+ITSELF = "viser-user:wafer-viewer-browser"
+FORGET = f"""kept => {{
+  const itself = localStorage.getItem('{ITSELF}');
+  localStorage.clear();
+  if (kept && itself) localStorage.setItem('{ITSELF}', itself);
+  sessionStorage.clear();
+  document.activeElement?.blur();
+  scrollTo(0, 0);
+  window.drawsScene = false;
+  return document.querySelector('.wv-contact')?.dataset.page;
+}}"""
+"""Forget what the browser has kept, but not which browser it is: a session waits 20 s for the one with the control."""
 AGAIN = "document.hasFocus = () => true; window.dispatchEvent(new Event('focus'))"
 # The bar of a lost contact is there from the first loss on that the page notices.
 IS_NEW = """before => {
@@ -98,6 +106,7 @@ class KeptPage:
         self.page, self._size = page, page.viewport_size
         self._parameters = parameters
         self._running: Running | None = None
+        self._session: Any = None
         self._address = ""
 
     def show(self, session: Any, **remembered: object) -> Page:
@@ -112,7 +121,8 @@ class KeptPage:
         if self.page.viewport_size != self._size:
             self.page.set_viewport_size(self._size)
         self.page.mouse.move(-1, -1)
-        before = self.page.evaluate(f"{FORGET}; document.querySelector('.wv-contact')?.dataset.page")
+        before = self.page.evaluate(FORGET, session is self._session)
+        self._session = session
         if remembered:
             self.page.evaluate("view => localStorage.setItem(...view)", [REMEMBERED, json.dumps(remembered)])
         self._running = start(session, port=int(port), token=token)

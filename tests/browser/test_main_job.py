@@ -126,6 +126,7 @@ def test_a_bad_import_is_told_and_writes_nothing(page: Page, session: Session, t
     expect(notes(page)).to_contain_text("z05.tif")
     eventually(lambda: session.snapshot.works == (), "nothing is at work any more")
     assert list(session.snapshot.data_folder.glob("*.wafer")) == []
+    session.wait_until(lambda now: now.overview is not None, WORK_S)
     go_to(page, "Plan")
     press(page, "Plan a scan")
     eventually(lambda: session.snapshot.draft.job is not None, "the session goes on")
