@@ -87,6 +87,7 @@ def test_a_surface_is_sharpest_in_the_frame_at_its_height():
     assert sharpness[6] > 10 * sharpness[0]
 
 
+@pytest.mark.slow
 def test_focus_does_not_depend_on_where_the_sweep_lies():
     scene = plane(5, SMALL, tilt=0.0)
     sharp = [light_of(scene, Optics(views=80), z_um)[1] for z_um in (LEVEL_UM + np.array(z) for z in SWEEPS)]

@@ -89,6 +89,7 @@ def wait_for(condition, patience_s):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_part_is_compiled_once(log):
     parts = [KernelPart(name, partial(note, log, name)) for name in "ab"]
     compile_parts(parts)
@@ -96,6 +97,7 @@ def test_part_is_compiled_once(log):
     assert compiled(log) == ["a", "b"]
 
 
+@pytest.mark.slow
 def test_part_of_other_sources_is_compiled_again(log, monkeypatch):
     part = KernelPart("a", partial(note, log, "a"))
     compile_parts([part])

@@ -356,6 +356,7 @@ def test_a_mosaic_without_a_layer_is_named_with_the_mend(tmp_path, surface, laye
         ZarrMosaic.open(stored.path).layers(1, slice(0, 8), slice(0, 8))
 
 
+@pytest.mark.slow
 def test_a_small_defect_is_seen_at_the_top(tmp_path):
     rng = np.random.default_rng(2)
     flat = make_surface(rows=400, cols=500, pixel_um=0.5)
