@@ -32,6 +32,8 @@ _hosts: list[tuple[object, ChildProcess, list[Any]]] = []
 """The host without a session, its environment, and what it has told of its workers."""
 _pools: list[tuple[object, ProcessPoolExecutor]] = []
 _new_pool = render_process._new_pool
+CHANGING = "PYTEST_CURRENT_TEST", "TCM_ENABLE"
+"""Variables that change without a test: the second one is set by the threading library that numba loads."""
 _forked: list[object] = []
 """The environment of the process that rig processes are forks of."""
 _sessions = count(1)
@@ -39,7 +41,7 @@ _sessions = count(1)
 
 def _environment() -> object:
     """What a process gets from the one that starts it."""
-    variables = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    variables = {name: value for name, value in os.environ.items() if name not in CHANGING}
     return variables, list(sys.path), Path.cwd()
 
 
@@ -58,7 +60,7 @@ class KeptCompute(Compute):
             if link.alive and environment == _environment():
                 link._on_event, link._on_exit = self._on_event, self._on_exit
                 self._link = link
-                for event in news:
+                for event in list(news):
                     self._hear(event)
             else:
                 link.close()
@@ -66,9 +68,13 @@ class KeptCompute(Compute):
             self._news.clear()
         return super().start()
 
-    def _hear(self, event: Any) -> None:
+    def _note(self, event: Any) -> None:
+        """Note what the next session is to know, too, between two sessions."""
         if isinstance(event, (ComputeUp, ComputeWarm)):
             self._news.append(event)
+
+    def _hear(self, event: Any) -> None:
+        self._note(event)
         if not isinstance(event, Progressed):
             self._tell(event)
         elif event.work.startswith(self._prefix):
@@ -95,7 +101,7 @@ class KeptCompute(Compute):
             for work in set(self._works.values()):
                 self.cancel(work)
             if not wait(list(self._works), PATIENCE_S).not_done and link.alive:
-                link._on_event = link._on_exit = lambda _: None
+                link._on_event, link._on_exit = self._note, lambda _: None
                 _hosts.append((_environment(), link, self._news))
                 return
         super().close()
