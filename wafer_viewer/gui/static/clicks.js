@@ -24,7 +24,7 @@ document.addEventListener('pointerup', event => {
 }, true);
 
 /* What has the focus, and is drawn anew, keeps it: its successor has the same purpose. Focus that a press by key took away
-   with its button goes to what followed it. */
+   with its button goes to what followed it in its panel, or came before. */
 const REACHED = 'a[href], button, input, select, textarea, [role=button], [role=slider]';
 const OUT_OF_REACH = ':disabled, [data-disabled], [tabindex="-1"], [aria-hidden=true]';
 const TAKEN_MS = 5000;
@@ -33,7 +33,8 @@ let focused = null, following = [], pressedAt = 0;
 document.addEventListener('focusin', event => { focused = clickable(event.target); }, true);
 window.addEventListener('keydown', event => {
   if (event.key !== 'Enter' && event.key !== ' ') return;
-  const all = [...document.querySelectorAll(REACHED)], at = all.indexOf(event.target);
+  const room = event.target.closest?.('[data-dock-region], [data-floating-window]') ?? document;
+  const all = [...room.querySelectorAll(REACHED)], at = all.indexOf(event.target);
   [following, pressedAt] = [at < 0 ? [] : [...all.slice(at + 1), ...all.slice(0, at).reverse()], Date.now()];
 }, true);
 const keepFocus = () => {
