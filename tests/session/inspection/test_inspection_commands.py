@@ -116,6 +116,18 @@ def test_a_judgement_is_kept_at_once_and_can_be_undone(bench, result):
         bench.do(bench.controller.judge, 9999, "real", None, None)
 
 
+def test_several_defects_are_judged_at_once_and_taken_back_at_once(bench, result):
+    numbers = tuple(defect.number for defect in FOUND.defects)
+    bench.controller.judge(numbers, judgement="nuisance", kind="pit").result(20)
+    assert {(d.judgement, d.seen_as) for d in bench.state.defects} == {("nuisance", "pit")}
+    assert read_inspection(result.path).defects == bench.state.defects
+    bench.do(bench.controller.undo)
+    assert bench.state.defects == FOUND.defects
+    assert not bench.state.can_undo
+    with pytest.raises(DatasetError, match=r"There is no defect 77, 99: "):
+        bench.controller.judge((99, *numbers, 77), judgement="real").result(20)
+
+
 def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
     write_inspection(result.path, replace(FOUND, mark="of an older surface"))
     bench.do(bench.controller.open)

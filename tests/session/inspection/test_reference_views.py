@@ -27,7 +27,7 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Change, Comparison, ComparisonFace, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.session.inspection.reference_views import DefectViews, earlier_scan
+from wafer_viewer.session.inspection.reference_views import DefectViews, earlier_scan, section_of
 from wafer_viewer.session.rendering.render_process import Painter, paint_from_store
 from wafer_viewer.session.rendering.render_request import ComparisonView, ComparisonViews, SurfaceKey
 from wafer_viewer.session.state.inspection_state import InspectionState
@@ -138,7 +138,43 @@ def test_a_defect_is_compared_with_other_dies_and_the_last_scan(folder: Path):
     assert middle_grey(observed["dies"].height) == pytest.approx(middle_grey(observed["before"].height), abs=12)
     assert answer.high_um - answer.low_um > 0.9 * HIGH_UM
     x0, y0, x1, y1 = answer.box_um
-    assert (x1 - x0) / (y1 - y0) == pytest.approx(4 / 3, rel=0.02)
+    assert (x1 - x0) / (y1 - y0) == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_defect_stands_alone_in_the_difference_and_in_the_section(folder: Path):
+    answer = views(folder).beside(1).result(20)
+    here, dies, before = answer.views
+    assert (here.height_difference, here.picture_difference) == (b"", b"")
+    assert 0.9 * HIGH_UM < answer.difference_um < 1.1 * HIGH_UM
+    for other in (dies, before):
+        differs = np.subtract(here.section, other.section)
+        assert len(differs) == len(here.section) == len(here.section_grey)
+        assert np.nanmax(differs) == pytest.approx(HIGH_UM, rel=0.08)
+        away = np.abs(np.linspace(-1, 1, len(differs))) > 0.5
+        assert np.nanmedian(np.abs(differs[away])) < 0.1
+        red = np.asarray(Image.open(io.BytesIO(other.height_difference)).convert("RGB"), int)
+        middle, corner = red[len(red) // 2, len(red) // 2], red[5, 5]
+        assert middle[0] - middle[2] > 60
+        assert abs(corner[0] - corner[2]) < 30
+
+
+def test_a_section_runs_across_a_long_defect_and_along_the_rows_through_a_round_one():
+    x, y = 100.0, 50.0
+    (round_one,) = found().defects
+    long_one = replace(
+        round_one,
+        center=Point(x_um=x, y_um=y),
+        angle_deg=30.0,
+        major=replace(round_one.major, value_um=90.0),
+        minor=replace(round_one.minor, value_um=6.0),
+    )
+    x0, y0, x1, y1 = section_of(long_one, GRID, 0.5)
+    assert ((x0 + x1) / 2, (y0 + y1) / 2) == pytest.approx((x, y))
+    assert math.hypot(x1 - x0, y1 - y0) == pytest.approx(30.0)
+    assert (x1 - x0) * math.cos(math.radians(30)) + (y1 - y0) * math.sin(math.radians(30)) == pytest.approx(0, abs=1e-9)
+    assert x1 > x0
+    x0, y0, x1, y1 = section_of(round_one, replace(GRID, angle_rad=0.1), 0.5)
+    assert (y1 - y0) / (x1 - x0) == pytest.approx(math.tan(0.1))
 
 
 @pytest.mark.slow

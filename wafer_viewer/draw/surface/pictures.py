@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colormaps import table
+from wafer_viewer.draw.colormaps import DIVERGING, table
 from wafer_viewer.draw.surface.mesh import jpeg
 from wafer_viewer.draw.surface.texture_baking import light_gain, shade, without_gaps
 from wafer_viewer.model.acquisition.focus_stack import Image
@@ -18,19 +18,20 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 Plane = NDArray[np.float32]
 COLOURS = "mako"
 UNMEASURED = np.array([200, 208, 216], np.uint8)
-_LEAST_SPAN_UM, _LEAST_SPAN_GREY = 0.2, 24.0
+LEAST_SPAN_UM, LEAST_SPAN_GREY = 0.2, 24.0
 _ENDS, _INNER_ENDS = (0.5, 99.5), (2.0, 98.0)
 _QUALITY, _HILLSHADE = 88, 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Limits of the colour scale and its zero value; gain: of the lighting, 0 without any."""
+    """Limits of the colour scale and its zero value; gain: of the lighting, 0 without any; colours: '' for greys."""
 
     low: float
     high: float
     zero: float = 0.0
     gain: float = 0.0
+    colours: str = ""
 
 
 def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range:
@@ -43,28 +44,35 @@ def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range
     if np.isfinite(inside).any():
         least, most = np.nanpercentile(inside, _INNER_ENDS)
         low, high = min(low, float(least)), max(high, float(most))
-    spare = max(0.0, _LEAST_SPAN_UM - (high - low)) / 2
+    spare = max(0.0, LEAST_SPAN_UM - (high - low)) / 2
     measured = [plane[np.isfinite(plane)] for plane in (*planes[1:2], planes[0])]
     zero = next((float(np.median(values)) for values in measured if values.size), 0.0)
-    return Range(low - spare, high + spare, zero, light_gain(planes[0], pixel_um))
+    return Range(low - spare, high + spare, zero, light_gain(planes[0], pixel_um), COLOURS)
 
 
 def greys_of(planes: Sequence[Plane]) -> Range:
     """Return the common grey range of all images."""
     low, high = _ends(planes, _ENDS)
-    spare = max(0.0, _LEAST_SPAN_GREY - (high - low)) / 2
+    spare = max(0.0, LEAST_SPAN_GREY - (high - low)) / 2
     return Range(low - spare, high + spare)
 
 
+def difference_of(planes: Sequence[Plane], inside: Plane, least_span: float) -> Range:
+    """Return a symmetric range of differences, in diverging colours, that does not clip the region `inside`."""
+    most = max(map(abs, (*_ends(planes, _ENDS), *_ends([inside], _INNER_ENDS)))) if len(planes) else 0.0
+    half = max(most, least_span / 2)
+    return Range(-half, half, colours=DIVERGING)
+
+
 def picture_of(plane: Plane, pixel_um: float, over: Range) -> bytes:
-    """Return heights as lit colours, or grey values; unknown pixels have a uniform colour."""
+    """Return values as colours, lit if the range says so, or as greys; unknown pixels have a uniform colour."""
     measured = np.isfinite(plane)
     if not measured.any():
         return b""
     filled = without_gaps(plane)
     share = np.clip((filled - over.low) / max(over.high - over.low, 1e-9), 0, 1)
     index = (share * 255).astype(np.uint8)
-    colour = table(COLOURS)[index].astype(np.float32) if over.gain else np.repeat(index[..., None], 3, 2)
+    colour = table(over.colours)[index].astype(np.float32) if over.colours else np.repeat(index[..., None], 3, 2)
     if over.gain:
         light = shade(filled, pixel_um, over.gain, over.high - over.low).lambert
         colour = colour * (1 + np.float32(0.85 * _HILLSHADE) * (np.minimum(light, 1.6) - 1))[..., None]

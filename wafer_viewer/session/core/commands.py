@@ -128,6 +128,7 @@ def _words_of(method: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[st
     told = {name: value.name if isinstance(value, Path) else value for name, value in bound.arguments.items()}
     if isinstance(options := told.pop("options", None), ImageOptions):
         told |= msgspec.structs.asdict(options)
+    told |= {name: " ".join(map(str, value)) for name, value in told.items() if isinstance(value, tuple)}
     words = (
         f"{name.replace('_', ' ')}: {value}"
         for name, value in told.items()

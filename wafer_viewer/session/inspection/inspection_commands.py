@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Collection
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection, Judgement
@@ -92,26 +93,22 @@ class DefectController:
     @command.audited("Defects judged")
     def judge(
         self,
-        number: int,
+        number: int | Collection[int],
         judgement: Judgement | None = None,
         kind: DefectClass | None = None,
         note: str | None = None,
     ) -> None:
-        """Judge a defect as real or nuisance, set its class, or set a note; None leaves it unchanged."""
+        """Judge a defect, or several at once, as real or nuisance, set class or note; None leaves it unchanged."""
         self._require_writable()
-        inspection, old = self._numbered(number)
-        new = replace(
-            old,
-            judgement=old.judgement if judgement is None else judgement,
-            judged_kind=old.judged_kind if kind is None else kind,
-            note=old.note if note is None else note.strip(),
-        )
-        if new == old:
-            return
-        new = replace(new, judged_by=self._library.shown.job.sample.operator, judged_at=now())
-        defects = tuple(new if defect.number == number else defect for defect in inspection.defects)
-        self._history.put(replace(inspection, defects=defects))
-        self._save()
+        numbers = {number} if isinstance(number, int) else set(number)
+        inspection = self._holding(numbers)
+        given = {"judgement": judgement, "judged_kind": kind, "note": None if note is None else note.strip()}
+        given = {name: value for name, value in given.items() if value is not None}
+        by = {"judged_by": self._library.shown.job.sample.operator, "judged_at": now()}
+        defects = tuple(_judged(one, given, by) if one.number in numbers else one for one in inspection.defects)
+        if defects != inspection.defects:
+            self._history.put(replace(inspection, defects=defects))
+            self._save()
 
     @command.audited("Defect limits changed")
     def limit(self, limits: DefectLimits) -> None:
@@ -187,16 +184,23 @@ class DefectController:
         shown = self._command_queue.now.dataset
         return (shown.path, self._library.result_name) if shown is not None else None
 
-    def _numbered(self, number: int) -> tuple[Inspection, Defect]:
+    def _holding(self, numbers: set[int]) -> Inspection:
         inspection = self._history.value
-        defect = next((d for d in inspection.defects if d.number == number), None) if inspection is not None else None
-        if inspection is None or defect is None:
-            raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
-        return inspection, defect
+        missing = numbers - {defect.number for defect in inspection.defects} if inspection is not None else numbers
+        if inspection is None or missing:
+            gone = ", ".join(map(str, sorted(missing)))
+            raise DatasetError(f"There is no defect {gone}: the surface was searched again, choose another.")
+        return inspection
 
     def _require_writable(self) -> None:
         if (why := self._library.shown.read_only) is not None:
             raise DatasetError(f"Defects were not changed: {why}")
+
+
+def _judged(old: Defect, given: dict[str, Any], by: dict[str, Any]) -> Defect:
+    """Return a defect with what is given; it is judged by nobody else if nothing of it changes."""
+    new = replace(old, **given)
+    return old if new == old else replace(new, **by)
 
 
 def now() -> str:

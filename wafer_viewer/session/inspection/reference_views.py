@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -28,13 +29,17 @@ from wafer_viewer.session.rendering.render_request import (
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.sample import Alignment
     from wafer_viewer.model.inspection.defect import RepeatedPlace
+    from wafer_viewer.model.inspection.die_grid import DieGrid
     from wafer_viewer.model.job import Job
     from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
 
 T = TypeVar("T")
 Box = tuple[float, float, float, float]
-ROUND_A_DEFECT, LEAST_PX, ASPECT = 2.2, 160, 4 / 3
-"""Width of a view relative to the defect, minimum width in pixels, and ratio of width to height."""
+ROUND_A_DEFECT, LEAST_PX = 2.2, 120
+"""Side of a view relative to the defect, and its minimum in pixels."""
+ELONGATED, ROUND_A_SECTION, LEAST_SECTION_PX = 2.5, 5.0, 60
+"""Length over width from which a defect is cut across; length of a section relative to the defect along it, and its
+minimum in pixels."""
 MOST_DIES = 9
 """Maximum number of dies for the median: the nearest ones, or evenly spread ones."""
 
@@ -75,7 +80,8 @@ class DefectViews:
         if defect is None or inspection is None or data is None or surface is None:
             raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
         box = box_of(defect, surface.pixel_um)
-        like = _like(inspection, defect, box, self._earlier(now, data))
+        section = section_of(defect, inspection.grid, surface.pixel_um)
+        like = _like(inspection, defect, box, section, self._earlier(now, data))
         return _read(
             self._paint(RenderRequest(_source(data, surface), "beside", box_um=box, like=like)), ComparisonViews
         )
@@ -102,9 +108,23 @@ class DefectViews:
 def box_of(defect: Defect, pixel_um: float) -> Box:
     """Return the box shown for a defect, stage um: x low, y low, x high, y high."""
     x0, y0, x1, y1 = defect.outline.bounds_um
-    width = max(ROUND_A_DEFECT * max(x1 - x0, (y1 - y0) * ASPECT), LEAST_PX * pixel_um)
+    half = max(ROUND_A_DEFECT * max(x1 - x0, y1 - y0), LEAST_PX * pixel_um) / 2
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2
+    return x - half, y - half, x + half, y + half
+
+
+def section_of(defect: Defect, grid: DieGrid | None, pixel_um: float) -> Box:
+    """Return the ends of the section through a defect: across a long one, else along the rows of the dies."""
+    major, minor = defect.major.value_um, max(defect.minor.value_um, pixel_um)
+    x0, _, x1, _ = defect.outline.bounds_um
+    angle, along_um = (grid.angle_rad if grid is not None else 0.0), x1 - x0
+    if major > ELONGATED * minor:
+        angle, along_um = math.radians(defect.angle_deg + 90), minor
+        if math.cos(angle) < 0:
+            angle += math.pi
+    half = max(ROUND_A_SECTION * along_um, LEAST_SECTION_PX * pixel_um) / 2
+    x, y, dx, dy = defect.center.x_um, defect.center.y_um, half * math.cos(angle), half * math.sin(angle)
+    return x - dx, y - dy, x + dx, y + dy
 
 
 def like_die(inspection: Inspection) -> ComparisonRequest:
@@ -114,7 +134,7 @@ def like_die(inspection: Inspection) -> ComparisonRequest:
     )
 
 
-def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> ComparisonRequest:
+def _like(inspection: Inspection, defect: Defect, box: Box, section: Box, found: Earlier | str) -> ComparisonRequest:
     own_die = _place(defect.die)
     missing, before = (found, None) if isinstance(found, str) else ("", found)
     middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
@@ -125,6 +145,7 @@ def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str
         golden=_golden(inspection),
         product=inspection.product,
         defect_um=defect.outline.bounds_um,
+        section_um=section,
         before=before.source if before is not None else None,
         before_at_um=before.at_um(*middle) if before is not None else None,
         before_turn_rad=before.turn_rad if before is not None else 0.0,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.surface.pictures import Range, greys_of, heights_of, picture_of
+from wafer_viewer.draw.surface.pictures import (
+    LEAST_SPAN_GREY,
+    LEAST_SPAN_UM,
+    Range,
+    difference_of,
+    greys_of,
+    heights_of,
+    picture_of,
+)
 from wafer_viewer.measure.dies.die_crops import (
     LEAST_SIMILARITY,
     AlignedPatch,
@@ -39,13 +48,35 @@ if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie
     from wafer_viewer.model.surface.height_map import Mosaic
 
-PLACE_PX, DIE_PX = 320, 640
+PLACE_PX, DIE_PX = 400, 640
 """Maximum length in pixels of the longer side of a picture, of a position and of a die."""
 DIE_REACH_PX, SCAN_REACH_PX = 3, 48
 """Search range in pixels for the offset of a die, and of an earlier scan."""
 LEAST_MEASURED = 0.2
+Box = tuple[float, float, float, float]
 
-Pair = tuple[ComparisonView, DieCrop | None]
+MOST_SECTION_PX, SECTION_ROWS = 400, 3
+"""Maximum number of points of a section, and number of pixel rows that it is the mean of."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Crops:
+    """The same content of the patch that is shown and of the strip along the section."""
+
+    shown: DieCrop
+    strip: DieCrop
+
+
+Pair = tuple[ComparisonView, _Crops | None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Position under comparison: its patch and strip, and its own crops."""
+
+    patch: DiePatch
+    strip: DiePatch
+    own: _Crops
 
 
 def comparison(provider: SurfaceProvider, request: RenderRequest) -> bytes:
@@ -54,17 +85,84 @@ def comparison(provider: SurfaceProvider, request: RenderRequest) -> bytes:
     if like is None or box is None:
         return b""
     surface = provider.surface(request.source)
-    patch = DiePatch.of_box(surface, box, PLACE_PX)
-    own = crop(surface, patch)
-    if own is None or not (np.isfinite(own.z_um).any() or np.isfinite(own.picture).any()):
+    patch, strip = DiePatch.of_box(surface, box, PLACE_PX), _strip(surface, like.section_um or box)
+    shown, along = crop(surface, patch), crop(surface, strip)
+    if shown is None or along is None or not (np.isfinite(shown.z_um).any() or np.isfinite(shown.picture).any()):
         return b""
-    pairs = [(ComparisonView("here"), own), *_others(provider, request.source, like, surface, patch, own)]
-    cuts = [one for _, one in pairs if one is not None]
-    heights = heights_of([one.z_um for one in cuts], _inside(own, patch, like), patch.pixel_um)
-    greys = greys_of([one.picture for one in cuts])
-    views = tuple(_drawn(view, one, patch.pixel_um, heights, greys) for view, one in pairs)
-    result = ComparisonViews(heights.low, heights.high, heights.zero, _box_of(patch), patch.pixel_um, views)
-    return msgspec.msgpack.encode(result)
+    here = _Place(patch, strip, _Crops(shown, along))
+    pairs = [(ComparisonView("here"), here.own), *_others(provider, request.source, like, surface, here)]
+    views = _Drawing.of([crops.shown for _, crops in pairs if crops is not None], here, _inside(patch, like))
+    answer = ComparisonViews(
+        views.heights.low,
+        views.heights.high,
+        views.heights.zero,
+        _box_of(patch),
+        patch.pixel_um,
+        tuple(views.drawn(view, crops) for view, crops in pairs),
+        views.differences.high,
+        views.grey_differences.high,
+        like.section_um or box,
+    )
+    return msgspec.msgpack.encode(answer)
+
+
+def _strip(surface: Mosaic, section_um: Box) -> DiePatch:
+    """Return the patch along a section, its first point at the left end of the line."""
+    x0, y0, x1, y1 = section_um
+    length_um = max(math.hypot(x1 - x0, y1 - y0), surface.pixel_um)
+    cols = min(MOST_SECTION_PX, max(2, round(length_um / surface.pixel_um)))
+    angle = math.atan2(y1 - y0, x1 - x0)
+    return DiePatch((x0 + x1) / 2, (y0 + y1) / 2, length_um / cols, (SECTION_ROWS, cols), angle)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawing:
+    """Ranges that all views of a comparison share, and the crops that they are compared with."""
+
+    own: _Crops
+    pixel_um: float
+    heights: Range
+    greys: Range
+    differences: Range
+    grey_differences: Range
+
+    @classmethod
+    def of(cls, crops: list[DieCrop], here: _Place, inside: tuple[slice, slice]) -> _Drawing:
+        own = here.own.shown
+        heights = heights_of([one.z_um for one in crops], own.z_um[inside], here.patch.pixel_um)
+        z, grey = ([getattr(own, name) - getattr(one, name) for one in crops[1:2]] for name in ("z_um", "picture"))
+        within = [plane[0][inside] if plane else own.z_um[:0] for plane in (z, grey)]
+        differences = difference_of(z, within[0], LEAST_SPAN_UM)
+        grey_differences = difference_of(grey, within[1], LEAST_SPAN_GREY)
+        greys = greys_of([one.picture for one in crops])
+        return cls(here.own, here.patch.pixel_um, heights, greys, differences, grey_differences)
+
+    def drawn(self, view: ComparisonView, crops: _Crops | None) -> ComparisonView:
+        """Return a view with its pictures and its section."""
+        if crops is None:
+            return view
+        own, other = self.own.shown, crops.shown
+        differs = other is not own
+        return msgspec.structs.replace(
+            view,
+            height=self._picture(other.z_um, self.heights),
+            picture=self._picture(other.picture, self.greys),
+            height_difference=self._picture(own.z_um - other.z_um, self.differences) if differs else b"",
+            picture_difference=self._picture(own.picture - other.picture, self.grey_differences) if differs else b"",
+            section=_along(crops.strip.z_um),
+            section_grey=_along(crops.strip.picture),
+        )
+
+    def _picture(self, plane: NDArray[np.float32], over: Range) -> bytes:
+        return picture_of(plane, self.pixel_um, over)
+
+
+def _along(plane: NDArray[np.float32]) -> tuple[float, ...]:
+    """Return the mean over the rows of a strip; NaN where none is known."""
+    known = np.isfinite(plane)
+    n = known.sum(0)
+    mean = np.where(known, plane, 0).sum(0) / np.maximum(n, 1)
+    return tuple(np.where(n > 0, mean, np.nan).round(4).tolist())
 
 
 def die(provider: SurfaceProvider, request: RenderRequest) -> bytes:
@@ -92,65 +190,67 @@ def picture_of_die(surface: Mosaic, folder: Path, like: ComparisonRequest) -> Di
     own = crop(surface, patch)
     if own is None:
         return nothing
-    cuts = [
-        own,
-        *(one.cut for one in _aligned_crops(surface, replace(like, die=place, dies=like.dies[1:]), patch, own)),
-    ]
+    others = replace(like, die=place, dies=like.dies[1:])
+    cuts = [own, *(one.cut for _, one in _aligned_crops(surface, others, patch, own))]
     return DiePicture(_grey(median_crop(own, cuts)), len(cuts))
 
 
 def _others(
-    provider: SurfaceProvider,
-    source: SurfaceKey,
-    like: ComparisonRequest,
-    surface: Mosaic,
-    patch: DiePatch,
-    own: DieCrop,
+    provider: SurfaceProvider, source: SurfaceKey, like: ComparisonRequest, surface: Mosaic, here: _Place
 ) -> Iterator[Pair]:
     """Yield the reference, then the earlier scan; each with the reason if it is missing."""
-    yield (
-        _of_golden(source.dataset.parent, like, surface, patch, own)
-        if like.golden
-        else _of_dies(like, surface, patch, own)
-    )
-    yield _of_before(provider, like, patch, own)
+    yield (_of_golden(source.dataset.parent, like, surface, here) if like.golden else _of_dies(like, surface, here))
+    yield _of_before(provider, like, here)
 
 
-def _of_dies(like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop) -> Pair:
-    if like.grid is None:
+def _of_dies(like: ComparisonRequest, surface: Mosaic, here: _Place) -> Pair:
+    grid, die = like.grid, like.die
+    if grid is None:
         return ComparisonView(
             "dies", why_not="The surface was compared with its form: there are no dies to show."
         ), None
-    if like.die is None:
+    if die is None:
         return ComparisonView("dies", why_not="The place lies outside of the dies."), None
-    aligned = list(_aligned_crops(surface, like, patch, own))
+    aligned = list(_aligned_crops(surface, like, here.patch, here.own.shown))
     if not aligned:
         return ComparisonView("dies", why_not="No other die was scanned completely."), None
-    return ComparisonView("dies", dies=len(aligned)), median_crop(own, [one.cut for one in aligned])
+    strips = (crop(surface, _moved(here.strip.on_die(grid, die, other), one.moved_um)) for other, one in aligned)
+    along = [levelled_on(here.own.strip, strip) for strip in strips if strip is not None]
+    shown = median_crop(here.own.shown, [one.cut for _, one in aligned])
+    return ComparisonView("dies", dies=len(aligned)), _Crops(shown, median_crop(here.own.strip, along))
 
 
-def _aligned_crops(surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Iterator[AlignedPatch]:
-    """Yield the same position of the other dies, as far as it is measured there."""
+def _moved(patch: DiePatch, moved_um: tuple[float, float]) -> DiePatch:
+    """Return a patch at the place of an aligned one, `moved_um` down and to the right."""
+    down_um, right_um = moved_um
+    return replace(patch, x_um=float(patch.x_um) + right_um, y_um=float(patch.y_um) - down_um)
+
+
+def _aligned_crops(
+    surface: Mosaic, like: ComparisonRequest, patch: DiePatch, own: DieCrop
+) -> Iterator[tuple[tuple[int, int], AlignedPatch]]:
+    """Yield the other dies with the same position of each, as far as it is measured there."""
     for other in like.dies:
         if like.grid is not None and like.die is not None and other != like.die:
             aligned = align_crop(own, surface, patch.on_die(like.grid, like.die, other), DIE_REACH_PX)
             if aligned is not None and aligned.cut.measured >= LEAST_MEASURED:
-                yield aligned
+                yield other, aligned
 
 
-def _of_golden(folder: Path, like: ComparisonRequest, surface: Mosaic, patch: DiePatch, own: DieCrop) -> Pair:
+def _of_golden(folder: Path, like: ComparisonRequest, surface: Mosaic, here: _Place) -> Pair:
     if like.grid is None or like.die is None:
         return ComparisonView("golden", why_not="The place lies outside of the dies."), None
     try:
         golden = _golden(folder, like, surface)
     except WaferViewerError as fault:
         return ComparisonView("golden", why_not=str(fault)), None
-    golden_crop = levelled_on(own, cut_of_golden(golden, like.grid, like.die, patch))
-    if golden_crop.measured < LEAST_MEASURED:
+    shown, strip = (cut_of_golden(golden, like.grid, like.die, patch) for patch in (here.patch, here.strip))
+    crops = _Crops(levelled_on(here.own.shown, shown), levelled_on(here.own.strip, strip))
+    if crops.shown.measured < LEAST_MEASURED:
         return ComparisonView(
             "golden", why_not=f"{golden.title} knows nothing of this place: a street has no golden die."
         ), None
-    return ComparisonView("golden", name=golden.title, dies=golden.header.dies), golden_crop
+    return ComparisonView("golden", name=golden.title, dies=golden.header.dies), crops
 
 
 def _golden(folder: Path, like: ComparisonRequest, surface: Mosaic) -> GoldenDie:
@@ -165,7 +265,7 @@ def _golden(folder: Path, like: ComparisonRequest, surface: Mosaic) -> GoldenDie
     return golden
 
 
-def _of_before(provider: SurfaceProvider, like: ComparisonRequest, patch: DiePatch, own: DieCrop) -> Pair:
+def _of_before(provider: SurfaceProvider, like: ComparisonRequest, here: _Place) -> Pair:
     if like.before is None or like.before_at_um is None:
         return ComparisonView("before", why_not=like.no_before), None
     name, (x_um, y_um) = like.before_name, like.before_at_um
@@ -173,45 +273,47 @@ def _of_before(provider: SurfaceProvider, like: ComparisonRequest, patch: DiePat
         earlier = provider.surface(like.before)
     except WaferViewerError as fault:
         return ComparisonView("before", name=name, why_not=str(fault)), None
-    patch_there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
-    aligned = align_crop(own, earlier, patch_there, SCAN_REACH_PX)
+    patch_there = replace(here.patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
+    aligned = align_crop(here.own.shown, earlier, patch_there, SCAN_REACH_PX)
     if aligned is None or aligned.cut.measured < LEAST_MEASURED:
         return ComparisonView(
             "before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."
         ), None
     if aligned.similarity < LEAST_SIMILARITY:
-        reason = f"What {name} has within {SCAN_REACH_PX * patch.pixel_um:.0f} um of this place does not look like it."
+        near_um = SCAN_REACH_PX * here.patch.pixel_um
+        reason = f"What {name} has within {near_um:.0f} um of this place does not look like it."
         return ComparisonView("before", name=name, similarity=aligned.similarity, why_not=reason), None
     down_um, right_um = aligned.moved_um
-    return ComparisonView(
-        "before", name=name, moved_um=(right_um, -down_um), similarity=aligned.similarity
-    ), aligned.cut
+    strip = crop(earlier, _strip_there(here, patch_there.moved(*(um / here.patch.pixel_um for um in aligned.moved_um))))
+    along = levelled_on(here.own.strip, strip) if strip is not None else _nothing_of(here.own.strip)
+    view = ComparisonView("before", name=name, moved_um=(right_um, -down_um), similarity=aligned.similarity)
+    return view, _Crops(aligned.cut, along)
 
 
-def _drawn(
-    view: ComparisonView, crop_of_view: DieCrop | None, pixel_um: float, heights: Range, greys: Range
-) -> ComparisonView:
-    if crop_of_view is None:
-        return view
-    height, picture = (
-        picture_of(crop_of_view.z_um, pixel_um, heights),
-        picture_of(crop_of_view.picture, pixel_um, greys),
-    )
-    return msgspec.structs.replace(view, height=height, picture=picture)
+def _strip_there(here: _Place, there: DiePatch) -> DiePatch:
+    """Return the strip that lies in another patch as its own does in that of the place."""
+    right, up = float(here.strip.x_um) - float(here.patch.x_um), float(here.strip.y_um) - float(here.patch.y_um)
+    c, s = math.cos(there.angle_rad), math.sin(there.angle_rad)
+    x_um, y_um = float(there.x_um) + c * right - s * up, float(there.y_um) + s * right + c * up
+    return replace(here.strip, x_um=x_um, y_um=y_um, angle_rad=here.strip.angle_rad + there.angle_rad)
+
+
+def _nothing_of(one: DieCrop) -> DieCrop:
+    return DieCrop(np.full_like(one.z_um, np.nan), np.full_like(one.picture, np.nan))
 
 
 def _grey(die_crop: DieCrop) -> bytes:
     return picture_of(die_crop.picture, 1.0, greys_of([die_crop.picture]))
 
 
-def _inside(own: DieCrop, patch: DiePatch, like: ComparisonRequest) -> NDArray[np.float32]:
-    """Return the heights inside the defect."""
+def _inside(patch: DiePatch, like: ComparisonRequest) -> tuple[slice, slice]:
+    """Return the rows and columns of a patch that hold the defect."""
     if like.defect_um is None:
-        return own.z_um[:0]
-    (x0, y0, x1, y1), (left, low, _, high) = like.defect_um, _box_of(patch)
+        return slice(0, 0), slice(0, 0)
+    (x0, y0, x1, y1), (left, _, _, high) = like.defect_um, _box_of(patch)
     cols = slice(max(0, int((x0 - left) / patch.pixel_um)), max(0, int((x1 - left) / patch.pixel_um) + 1))
     rows = slice(max(0, int((high - y1) / patch.pixel_um)), max(0, int((high - y0) / patch.pixel_um) + 1))
-    return own.z_um[rows, cols] if high > low else own.z_um
+    return rows, cols
 
 
 def _box_of(patch: DiePatch) -> tuple[float, float, float, float]:

@@ -28,9 +28,10 @@ class ComparisonRequest:
     """Request for comparison views of a position.
 
     die: the die of the position, dies: those of the median, without it; golden: name of the stored golden die shown
-    instead, of the product `product`. defect_um: box of the defect, which the height range must not clip. before: an
-    earlier scan, before_name: its name, before_at_um: position of the box centre on its stage, before_turn_rad: its
-    rotation, anticlockwise; no_before: the reason if there is none.
+    instead, of the product `product`. defect_um: box of the defect, which the height range must not clip.
+    section_um: ends of a line through it, stage um (x, y of each). before: an earlier scan, before_name: its name,
+    before_at_um: position of the box centre on its stage, before_turn_rad: its rotation, anticlockwise; no_before:
+    the reason if there is none.
     """
 
     grid: DieGrid | None = None
@@ -39,6 +40,7 @@ class ComparisonRequest:
     golden: str = ""
     product: str = ""
     defect_um: tuple[float, float, float, float] | None = None
+    section_um: tuple[float, float, float, float] | None = None
     before: SurfaceKey | None = None
     before_at_um: tuple[float, float] | None = None
     before_turn_rad: float = 0.0
@@ -49,6 +51,9 @@ class ComparisonRequest:
 class ComparisonView(msgspec.Struct, frozen=True):
     """View in a side-by-side comparison: heights and the all-in-focus picture, as JPEG.
 
+    height_difference, picture_difference: of the position itself from it, as JPEG; empty for the position itself.
+    section: heights along the section line, over its first to its last point, and section_grey: grey values; levelled
+    and matched in brightness as the pictures are, NaN where unknown.
     name: of the golden die or the scan; dies: number of dies in the median; moved_um: shift (right, up) applied to
     match the position; similarity: their correlation. why_not: the reason if there is no view, a sentence.
     """
@@ -56,6 +61,10 @@ class ComparisonView(msgspec.Struct, frozen=True):
     like: Like
     height: bytes = b""
     picture: bytes = b""
+    height_difference: bytes = b""
+    picture_difference: bytes = b""
+    section: tuple[float, ...] = ()
+    section_grey: tuple[float, ...] = ()
     name: str = ""
     dies: int = 0
     moved_um: tuple[float, float] = (0.0, 0.0)
@@ -66,7 +75,8 @@ class ComparisonView(msgspec.Struct, frozen=True):
 class ComparisonViews(msgspec.Struct, frozen=True):
     """Comparison views of a position, answer to ``beside``: heights in the range low_um to high_um above zero_um.
 
-    box_um: area of each picture, stage um (x low, y low, x high, y high).
+    box_um: area of each picture, stage um (x low, y low, x high, y high). difference_um, difference_grey: half the
+    range of the differences. section_um: ends of the section, stage um.
     """
 
     low_um: float
@@ -75,6 +85,9 @@ class ComparisonViews(msgspec.Struct, frozen=True):
     box_um: tuple[float, float, float, float]
     pixel_um: float
     views: tuple[ComparisonView, ...]
+    difference_um: float = 0.0
+    difference_grey: float = 0.0
+    section_um: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 class DiePicture(msgspec.Struct, frozen=True):
