@@ -81,6 +81,12 @@ def click(selector: str) -> Act:
     return lambda page: page.locator(selector).first.click()
 
 
+def mark_a_few(page: Page) -> None:
+    """Select some tiles of the gallery."""
+    for n in (3, 4, 8):
+        page.locator("[data-pick=tile]").nth(n).click(modifiers=["Control"])
+
+
 def unfold(page: Page) -> None:
     """Open what an engineer adds for operators."""
     page.get_by_text("For operators").click()
@@ -325,7 +331,11 @@ SCREENS: dict[str, Screen] = {
     "review-defect-form": Screen(
         inspected_session, "review", seen=True, then=(press("PageDown"), click("[data-pick=defect-form]"))
     ),
-    "review-beside": Screen(inspected_session, "review", seen=True, then=(press("PageDown", "z"), pause)),
+    "review-scratch": Screen(inspected_session, "review", seen=True, then=(pause,)),
+    "review-picture": Screen(inspected_session, "review", seen=True, then=(click("[data-pick=pane][data-k=picture]"),)),
+    "review-3d": Screen(inspected_session, "review", seen=True, then=(click("[data-pick=sheet][data-k=none]"), pause)),
+    "review-gallery": Screen(whole_wafer, "review", seen=True, then=(press("z"), mark_a_few, pause)),
+    "review-filter": Screen(inspected_session, "review", seen=True, then=(click("[data-pick=defect-filter]"),)),
     "review-stack": Screen(
         repeating_session, "review", seen=True, then=(press("Backspace"), pause, press("Backspace"), pause)
     ),

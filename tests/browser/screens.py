@@ -30,6 +30,8 @@ Every window would load two pages of its own for its address bar, for almost hal
 The flag replaces Playwright's own: of the features that it switches off, those that a page could notice are named too.
 """
 REMEMBERED = "viser-user:wafer-viewer-view"
+DRAWN = ".wv-glass:has-text('not measured'):visible, .wv-over-picture img:visible, .wv-tile img:visible"
+"""What is in sight once a surface is drawn: its legend, or pictures that lie over it."""
 REST_S = 2.5
 """Pictures are taken when the scene has had time to come to rest."""
 
@@ -53,7 +55,7 @@ def picture(page: Page, folder: Path, name: str, dark: bool) -> None:
         page.goto(running.address)
         page.locator(".wv-title").first.wait_for()
         if screen.seen:
-            page.locator("[data-floating-window] .wv-glass", has_text="not measured").wait_for()
+            page.locator(DRAWN).first.wait_for()
         for act in screen.then:
             act(page)
         take(page, folder / f"{name}.png", 2 * REST_S if screen.seen else REST_S)

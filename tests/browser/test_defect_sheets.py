@@ -1,4 +1,4 @@
-"""A defect compared and all dies on one, by keys alone."""
+"""A defect beside its reference and all dies on one, by keys alone."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_b
     selected = page.locator(".wv-defects tr.sel")
     expect(selected).to_be_visible()
 
-    page.keyboard.press("z")
-    pictures = page.locator(".wv-over-picture img")
-    expect(pictures).to_have_count(6)
-    first = page.locator(".wv-over-head").inner_text()
-    expect(page.locator(".wv-beside")).to_contain_text("median of 9")
-    expect(page.locator(".wv-beside")).to_contain_text("coupon-06")
+    pictures, head = page.locator(".wv-over-picture img"), page.locator(".wv-over-head")
+    expect(pictures).to_have_count(3)
+    first = head.inner_text()
+    expect(page.locator(".wv-sheet-foot")).to_contain_text("median of 9")
+    page.locator("[data-pick=compared][data-k=before]").press("Enter")
+    expect(page.locator(".wv-sheet-foot")).to_contain_text("coupon-06")
     page.keyboard.press("PageDown")
-    expect(page.locator(".wv-over-head")).not_to_have_text(first)
-    expect(pictures).to_have_count(6)
+    expect(head).not_to_have_text(first)
+    expect(pictures).to_have_count(3)
 
     page.keyboard.press("Backspace")
     expect(pictures).to_have_count(0)
@@ -48,5 +48,6 @@ def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_b
 
     page.keyboard.press("Escape")
     expect(page.locator(".wv-stack")).to_have_count(0)
+    expect(pictures).to_have_count(3)
     page.keyboard.press("Escape")
     expect(page.locator(".wv-alone")).to_have_count(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,16 +54,17 @@ def test_a_hundred_defects_are_reviewed_without_the_mouse_and_what_was_thought_i
     expect(page.locator(".wv-alone")).to_contain_text("Die 0,3")
     expect(page.locator(".wv-defects tr")).to_have_count(A_DIE)
     press(session, page, "y", 1, judgement="real")
-    on(page, "D2 · Particle")
+    title_is(page, "D2 · Particle")
     press(session, page, "n", 2, judgement="nuisance")
-    on(page, "D3 · Particle")
-    press(session, page, "3", 3, judged_kind="residue")
-    press(session, page, "y", 3, judgement="real")
+    title_is(page, "D3 · Particle")
     note(page, "gel, wafer edge")
     eventually(lambda: of(session, 3).note == "gel, wafer edge", "it is noted down")
-    on(page, "D4 · Particle")
+    press(session, page, "3", 3, judged_kind="residue", judgement="real")
+    title_is(page, "D4 · Particle")
     press(session, page, "n", 4, judgement="nuisance")
+    title_is(page, "D5 · Particle")
     press(session, page, "Control+z", 4, judgement="open")
+    title_is(page, "D4 · Particle")
 
     page.keyboard.press("Alt+PageDown")
     expect(page.locator(".wv-alone")).to_contain_text("Die 1,3")
@@ -93,16 +95,31 @@ def test_a_hundred_defects_are_reviewed_without_the_mouse_and_what_was_thought_i
     assert sum(d.judgement != "open" for d in kept.values()) == 3
 
 
+def test_a_hundred_defects_are_judged_with_a_hundred_keys(page: Page, session: Session):
+    page.keyboard.press("Shift+R")
+    title_is(page, "D1 · Particle")
+    expect(page.locator(".wv-over-picture img").first).to_be_visible()
+    keys = [("y", "n", "2", "6")[n % 4] for n in range(N_DEFECTS)]
+    begun_s = time.monotonic()
+    for key in keys:
+        page.keyboard.press(key)
+    eventually(lambda: all(d.judgement != "open" for d in session.snapshot.inspection.defects), "all are judged", 120)
+    taken_s = time.monotonic() - begun_s
+    print(f"{N_DEFECTS} judged with {len(keys)} keys in {taken_s:.1f} s")
+    meant = {"y": ("real", "particle"), "n": ("nuisance", "particle"), "2": ("real", "scratch"), "6": ("real", "pit")}
+    assert [(of(session, n).judgement, of(session, n).seen_as) for n in range(1, N_DEFECTS + 1)] == [
+        meant[key] for key in keys
+    ]
+    expect(page.get_by_text(f"{N_DEFECTS} of {N_DEFECTS} judged")).to_be_visible()
+    kept = read_inspection(Dataset.open(session.snapshot.dataset.path).result(RESULT).path).defects
+    assert all(d.judgement != "open" for d in kept)
+    assert notes(page).count() == 0
+
+
 def press(session: Session, page: Page, key: str, number: int, **then: str) -> None:
     """Press a key and wait until a defect is what it made of it."""
     page.keyboard.press(key)
     eventually(lambda: all(getattr(of(session, number), name) == to for name, to in then.items()), f"{key}: {then}")
-
-
-def on(page: Page, title: str) -> None:
-    """Go on to the next open one."""
-    page.keyboard.press("PageDown")
-    title_is(page, title)
 
 
 def note(page: Page, text: str) -> None:

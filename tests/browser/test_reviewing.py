@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.sessions.inspected_session import InspectedSession, inspected_session
-from tests.browser.steps import eventually, notes, title_is
+from tests.browser.steps import eventually, notes, title_is, type_into
 
 pytestmark = [
     pytest.mark.browser,
@@ -26,21 +26,27 @@ def test_defects_are_gone_through_judged_and_classed_without_the_mouse(serve: Ca
     page = serve(session)
     page.keyboard.press("Shift+R")
     title_is(page, "D5 · Scratch")
+    expect(page.locator(".wv-over-picture img")).to_have_count(3)
     page.keyboard.press("PageDown")
     title_is(page, "D2 · Residue")
-    expect(page.locator(".wv-below .wv-curve").first).to_be_attached()
+    expect(page.locator(".wv-below .wv-curve")).to_have_count(2)
     expect(page.locator(".wv-defects tr.sel")).to_contain_text("D2")
-    page.keyboard.press("y")
-    eventually(lambda: defect(session, 2).judgement == "real", "it is real")
     page.keyboard.press("6")
     eventually(lambda: defect(session, 2).judged_kind == "pit", "it is a pit")
-    title_is(page, "D2 · Pit")
+    assert defect(session, 2).judgement == "real"
+    title_is(page, "D6 · Edge chip")
     page.keyboard.press("Control+z")
     title_is(page, "D2 · Residue")
-    page.keyboard.press("PageDown")
-    expect(page.locator(".wv-defects tr.sel")).not_to_contain_text("D2")
+    assert defect(session, 2).judgement == "open"
     page.keyboard.press("n")
-    eventually(lambda: sum(d.judgement == "nuisance" for d in session.snapshot.inspection.defects) == 1, "it is none")
+    eventually(lambda: defect(session, 2).judgement == "nuisance", "it is none")
+    title_is(page, "D6 · Edge chip")
+    page.keyboard.press("PageUp")
+    title_is(page, "D2 · Residue")
+    expect(page.locator(".wv-judging")).to_contain_text("not a defect")
+    page.locator("[data-pick=review-reopen]").press("Enter")
+    eventually(lambda: defect(session, 2).judgement == "open", "it is open again")
+    title_is(page, "D2 · Residue")
     page.keyboard.press("Shift+Enter")
     dialog = page.locator(".mantine-Modal-content")
     expect(dialog.locator("input")).to_be_visible()
@@ -50,6 +56,60 @@ def test_defects_are_gone_through_judged_and_classed_without_the_mouse(serve: Ca
     page.keyboard.press("Enter")
     eventually(lambda: any(d.note == "dust" for d in session.snapshot.inspection.defects), "it is noted down")
     assert notes(page).count() == 0
+
+
+def test_all_of_a_class_are_judged_at_once_and_taken_back_at_once(serve: Callable[..., Page]):
+    session = inspected_session()
+    page = serve(session)
+    page.keyboard.press("Shift+R")
+    page.locator("[data-pick=defect-kind][data-k=particle]").click()
+    title_is(page, "D1 · Particle")
+    expect(page.locator(".wv-judging")).to_contain_text("Shift + key: 2 open particle")
+    page.keyboard.press("Shift+Digit3")
+    eventually(lambda: {defect(session, n).judged_kind for n in (1, 4)} == {"residue"}, "both are residue")
+    assert {defect(session, n).judgement for n in (1, 4)} == {"real"}
+    page.keyboard.press("Control+z")
+    eventually(lambda: {defect(session, n).judgement for n in (1, 4)} == {"open"}, "both are taken back")
+    title_is(page, "D1 · Particle")
+
+
+def test_several_are_selected_in_the_gallery_and_judged_with_one_key(serve: Callable[..., Page]):
+    session = inspected_session()
+    page = serve(session)
+    page.keyboard.press("Shift+R")
+    title_is(page, "D5 · Scratch")
+    page.keyboard.press("z")
+    tiles = page.locator("[data-pick=tile]")
+    expect(tiles).to_have_count(8)
+    expect(tiles.locator("img")).to_have_count(8)
+    tiles.nth(2).click(modifiers=["Control"])
+    tiles.nth(4).click(modifiers=["Control"])
+    expect(page.locator(".wv-tile.marked")).to_have_count(3)
+    tiles.nth(4).click(modifiers=["Control"])
+    expect(page.locator(".wv-tile.marked")).to_have_count(2)
+    expect(page.locator(".wv-judging")).to_contain_text("Shift + key: 2 selected")
+    page.keyboard.press("Shift+N")
+    eventually(lambda: [defect(session, n).judgement for n in (5, 6)] == ["nuisance"] * 2, "both are none")
+    expect(page.locator(".wv-tile.marked")).to_have_count(0)
+    assert sum(d.judgement != "open" for d in session.snapshot.inspection.defects) == 2
+    tiles.nth(3).click()
+    title_is(page, "D1 · Particle")
+    page.keyboard.press("Escape")
+    expect(tiles).to_have_count(0)
+    expect(page.locator(".wv-over-picture img")).to_have_count(3)
+
+
+def test_a_filter_by_size_lists_what_is_as_large(serve: Callable[..., Page]):
+    page = serve(inspected_session())
+    page.keyboard.press("Shift+R")
+    page.locator("[data-pick=defect-filter]").click()
+    type_into(page, "Size ≤, µm", "22")
+    expect(page.locator(".wv-alone")).to_contain_text("size ≤, µm 22 alone")
+    expect(page.locator(".wv-defects tr")).to_have_count(3)
+    title_is(page, "D7 · Pattern")
+    page.locator("[data-pick=defect-all]").click()
+    expect(page.locator(".wv-alone")).to_have_count(0)
+    expect(page.locator(".wv-over-head")).to_contain_text("of 8")
 
 
 def test_a_die_of_the_map_and_a_class_of_the_chart_are_listed_alone_by_a_click(serve: Callable[..., Page]):

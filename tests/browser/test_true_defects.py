@@ -49,7 +49,6 @@ def test_a_surface_is_inspected_judged_and_handed_over(page: Page, session: Sess
 
     judged = list[int]()
     for key, judgement in (("y", "real"), ("n", "nuisance")):
-        page.keyboard.press("PageDown")
         before = {d.number for d in session.snapshot.inspection.defects if d.judgement == "open"}
         page.keyboard.press(key)
         judged.append(judged_now(session, before, judgement))

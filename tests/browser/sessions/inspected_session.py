@@ -119,10 +119,13 @@ class FakeDefects(Recording):
         self.files = FakeDefectFiles(session)
         self._before: list[Inspection] = []
 
-    def judge(self, number: int, judgement: Any = None, kind: Any = None, note: Any = None) -> Future[Any]:
+    def judge(
+        self, number: int | tuple[int, ...], judgement: Any = None, kind: Any = None, note: Any = None
+    ) -> Future[Any]:
         asked = {"judgement": judgement, "judged_kind": kind, "note": note}
         given = {name: value for name, value in asked.items() if value is not None}
-        return self._put("judge", (number,), lambda d: replace(d, **given) if d.number == number else d)
+        numbers = (number,) if isinstance(number, int) else number
+        return self._put("judge", (number,), lambda d: replace(d, **given) if d.number in numbers else d)
 
     def limit(self, limits: DefectLimits) -> Future[Any]:
         now = self._session.snapshot.inspection.inspection

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,16 +11,16 @@ from unittest.mock import MagicMock
 import pytest
 
 from tests.browser.sessions import fake_session as fake
-from wafer_viewer.gui.defects.defect_section import DefectSection
-from wafer_viewer.gui.defects.die_views import DefectMap, DefectStack
-from wafer_viewer.gui.defects.reference_view import DefectBeside
 from wafer_viewer.gui.overlays.toolbar import PrintPicture
-from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.shell.saved_views import SavedViews
 from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, shortcut_table
 from wafer_viewer.gui.shell.tour_guide import Welcome
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.steps.report import report_commands
+from wafer_viewer.gui.steps.review.defect_list import section_commands
+from wafer_viewer.gui.steps.review.die_map import map_commands
+from wafer_viewer.gui.steps.review.die_stack import stack_commands
+from wafer_viewer.gui.steps.review.judging import review_commands
 from wafer_viewer.gui.steps.surface.comparison import comparison_commands
 from wafer_viewer.gui.widgets.controls import Command, looking, spoken
 from wafer_viewer.model.job import Notebook, SavedView
@@ -47,15 +48,21 @@ def all_commands() -> list[Command]:
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
-    panels = (ReviewPanel, DefectBeside, DefectMap, DefectSection, DefectStack, Welcome)
-    of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
-    of_steps = [*report_commands(MagicMock()), *comparison_commands(MagicMock())]
-    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels, *of_steps]
+    of_steps = [*report_commands(MagicMock()), *comparison_commands(MagicMock()), *review_commands(MagicMock())]
+    of_steps += [*section_commands(MagicMock()), *map_commands(MagicMock())]
+    of_steps += stack_commands(MagicMock(), MagicMock())
+    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *Welcome.commands(MagicMock()), *of_steps]
 
 
-def test_no_key_does_two_things():
-    used = Counter((c.key, c.modifier) for c in all_commands() if c.key)
+@pytest.mark.parametrize(
+    "view", [View(step="surface", tool="step"), View(step="review"), View(step="review", review="defect 1")]
+)
+def test_no_key_does_two_things(view: View):
+    here = [c for c in all_commands() if c.key and (c.here is None or c.here(MEASURED, view))]
+    used = Counter((c.key, c.modifier) for c in here)
     assert [key for key, times in used.items() if times > 1] == []
+    assert ("N", "shift") in used
+    assert ("1", "shift") in used
 
 
 def test_the_keys_of_the_camera_stay_its_own():
@@ -103,8 +110,15 @@ class Listed:
         self.session.snapshot, self.view = snapshot, view
         self._palette.show(snapshot, view)
 
+    def on_close(self, last) -> None:
+        self.last = last
+
     def choose(self, name: str) -> None:
-        self.names[name](None)
+        heard = self.names[name](None)
+        if asyncio.iscoroutine(heard):
+            asyncio.run(heard)
+            self.last()
+            self._palette._in_order.shutdown()
 
     def say(self, title: str, text: str, tone: str) -> None:
         self.said.append((title, text))
@@ -136,7 +150,7 @@ def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
         (PLANNED, View(), "Accept", "no dataset is open"),
         (MEASURED, View(step="review"), "Class: Particle", "no defect is under review"),
         (MEASURED, View(), "Hillshade", "go to Surface first"),
-        (MEASURED, View(step="review"), "Compare the defect", "no defect is under review"),
+        (MEASURED, View(step="review"), "Pictures or gallery", "no defect is under review"),
         (MEASURED, View(step="review"), "All dies overlaid, next place", "the surface has not been inspected yet"),
         (MEASURED, View(step="surface"), "Accept", "go to Review first"),
         (MEASURED, View(step="surface", show=2), "Fields and overlaps", "over the stitched surface"),

@@ -54,8 +54,8 @@ def form_dialog(
     answer: tuple[str, Any, Callable[[C], Any]],
     failed: str,
     fields: Callable[[Here[C]], el.Elements] | None = None,
-) -> None:
-    """Open a dialog of inputs.
+) -> Here[C]:
+    """Open a dialog of inputs and return its arguments.
 
     Parameters
     ----------
@@ -79,6 +79,7 @@ def form_dialog(
     here = Here(page, own, lambda: mount.show((fields or _all_fields)(here)))
     here.redraw()
     dialog.answers(label, icon, lambda: act(here.own), failed)
+    return here
 
 
 def _all_fields(here: Here[Any]) -> el.Elements:

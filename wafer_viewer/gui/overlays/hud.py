@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Generic, Literal
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -12,6 +14,7 @@ from markupsafe import Markup, escape
 from wafer_viewer.draw.charts.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
 from wafer_viewer.draw.number_format import length_text, number, round_length, with_unit
 from wafer_viewer.draw.surface.display_style import QUANTITIES
+from wafer_viewer.gui.elements.step import C, Here, Picks
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS
@@ -82,7 +85,7 @@ class ScaleBar:
         y_px = -(EDGE_PX + bottom_panel_height_px(view))
         narrow = self._viewport.width_px < NARROW_SCENE_PX
         drawn = _drawn(snapshot, in_scene(view), narrow)
-        visible = um_per_pixel and not view.at_bench
+        visible = um_per_pixel and not view.at_bench and view.sheet_over == "none"
         self._panel.show(_scale_bar(um_per_pixel, drawn) if visible else "", y_px=y_px)
 
 
@@ -203,38 +206,42 @@ class SheetRoom:
     height_px: int
 
 
-class OverScene:
-    """Sheet over the scene; the page is redrawn when the size of the scene changes."""
+Sheet = Callable[[Here[C], SheetRoom], tuple[Markup, int] | None]
+"""Content and height in CSS pixels of what lies over the scene; None for nothing."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
+
+class StepSheet(Generic[C]):
+    """Sheet of a step over the scene; the page is redrawn when the size of the scene changes."""
+
+    def __init__(self, page: Page, sheet: Sheet[C], own: C, picks: Picks[C] = MappingProxyType({})) -> None:
+        self.here = Here(page, own)
+        self._sheet = sheet
         self._panel = page.gui.add_panel(visible=False)
         with self._panel.add_tab("·"):
             self._cell = HtmlBlock(page.gui, padded=False)
         self._place = (0, 0)
         self._size = FIRST_PX
         page.viewport.on_change(lambda: self._follow(page.viewport.width_px, page.viewport.height_px))
+        for name, act in picks.items():
+            page.on_pick(name, partial(act, self.here))
 
-    @property
-    def room(self) -> SheetRoom:
-        """Available size at present."""
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the sheet as it is now."""
+        self.here.snapshot, self.here.view = snapshot, view
         width, height = self._size
-        return SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
-
-    def show(self, content: str, height_px: int = 0) -> None:
-        """Show `content`, or nothing when it is empty."""
-        if content and (self.room.width_px, height_px) != self._place:
-            self._place = self.room.width_px, height_px
-            self._panel.float(x=EDGE_PX, y=EDGE_PX, width=self._place[0], height=height_px + BORDER_PX)
-        self._cell.show(
-            content and Markup('<div class="wv-ov wv-over"><div class="wv-sheet-over">{}</div></div>').format(content)
-        )
-        set_prop(self._panel, "visible", bool(content))
+        room = SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
+        shown = self._sheet(self.here, room)
+        if shown is not None and (room.width_px, shown[1]) != self._place:
+            self._place = room.width_px, shown[1]
+            self._panel.float(x=EDGE_PX, y=EDGE_PX, width=self._place[0], height=shown[1] + BORDER_PX)
+        frame = Markup('<div class="wv-ov wv-over"><div class="wv-sheet-over">{}</div></div>')
+        self._cell.show(frame.format(shown[0]) if shown is not None else "")
+        set_prop(self._panel, "visible", shown is not None)
 
     def _follow(self, width_px: int, height_px: int) -> None:
         if (width_px, height_px) != self._size and width_px > 0 and height_px > 0:
             self._size = width_px, height_px
-            self._page.redraw()
+            self.here.page.redraw()
 
 
 # -------------------------------------------------------------------------------------------------------------- legends
@@ -260,7 +267,8 @@ class ColourLegend:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Update the legend."""
-        scale = self._page.scale if view.on_surface and view.step != "gauge" else None
+        shown = view.on_surface and view.step != "gauge" and view.sheet_over == "none"
+        scale = self._page.scale if shown else None
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
         bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""

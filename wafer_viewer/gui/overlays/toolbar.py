@@ -169,6 +169,9 @@ class Toolbar:
             parts += GAP + _select(view.selecting)
         if view.step == "plan":
             parts = sample_or_live(live=False) + GAP + parts
+        if view.reviews_defect:
+            ways = (("beside", "Pictures", viser.Icon.LAYOUT_COLUMNS, False), ("none", "3D", viser.Icon.CUBE, True))
+            parts = _ways("sheet", ways, " · Z") + GAP + parts
         if view.step == "gauge":
             parts = blocks_or_instrument(view.instrument) + GAP + parts
         two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX

@@ -93,6 +93,8 @@ BUTTONS: dict[str, str] = {
     "Next": "Next under review",
     "Accept": "Accept",
     "Reject": "Reject",
+    "Real defect": "Accept",
+    "Not a defect": "Reject",
 }
 """Labels of buttons, and the commands whose keys do the same."""
 STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report"

@@ -17,8 +17,8 @@ from wafer_viewer.session.state.snapshot import COMPILING, KernelProgress, Snaps
 FIRST_WIDTH_PX = 892
 """Initial width, until the browser reports the width of its scene."""
 
-HEIGHTS_PX: dict[Below, int] = {"none": 0, "live": 208}
-"""Heights other than `PROFILE_PX`: the live picture needs the room."""
+HEIGHTS_PX: dict[Below, int] = {"none": 0, "live": 208, "defect": 208}
+"""Heights other than `PROFILE_PX`: the pictures above need the room."""
 
 
 def bottom_panel_height_px(view: View) -> int:

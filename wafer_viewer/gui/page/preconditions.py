@@ -1,44 +1,13 @@
-"""Preconditions of commands: each returns a reason that follows "Not now:", or None; and the dispatch of judgements."""
+"""Preconditions of commands: each returns a reason that follows "Not now:", or None."""
 
 from __future__ import annotations
 
-from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any
-
 from wafer_viewer.gui.page.work_steps import TITLES, possible, why_not
-from wafer_viewer.gui.presenters.defects import JUDGEMENT_OF, chosen_defect, number_of
+from wafer_viewer.gui.presenters.review import chosen_defect, number_of
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.widgets.controls import Obstacle
-from wafer_viewer.model.job import Verdict
 from wafer_viewer.model.measurement.sections import MOST_LINES
 from wafer_viewer.session.state.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from wafer_viewer.session.session import Session
-
-
-def judge(session: Session, key: str, verdict: Verdict) -> Future[Any]:
-    """Accept, reject or reopen an item."""
-    number = number_of(key)
-    if number is None:
-        return session.notebook.judge(key, verdict)
-    return session.defects.judge(number, JUDGEMENT_OF[verdict])
-
-
-def note(session: Session, key: str, text: str) -> Future[Any]:
-    """Save a note on an item."""
-    number = number_of(key)
-    return session.notebook.judge(key, note=text) if number is None else session.defects.judge(number, note=text)
-
-
-def undo(session: Session, view: View) -> Future[Any]:
-    """Undo the last judgement in the store of the item under review."""
-    return session.notebook.undo() if number_of(view.review) is None else session.defects.undo()
-
-
-def redo(session: Session, view: View) -> Future[Any]:
-    """Redo the last undone judgement in the store of the item under review."""
-    return session.notebook.redo() if number_of(view.review) is None else session.defects.redo()
 
 
 def can_undo(snapshot: Snapshot, view: View) -> bool:
@@ -124,6 +93,16 @@ def no_defect(snapshot: Snapshot, view: View) -> str | None:
     return require_step("review")(snapshot, view) or (
         None if chosen else "no defect is under review: Page Down goes to one."
     )
+
+
+def on_defect(_: Snapshot, view: View) -> bool:
+    """Return whether a defect is under review, where Shift and the key of a judgement judge all alike."""
+    return view.reviews_defect
+
+
+def not_on_defect(_: Snapshot, view: View) -> bool:
+    """Return whether no defect is under review, so that Shift and a letter or digit do what they do elsewhere."""
+    return not view.reviews_defect
 
 
 def nothing_inspected(snapshot: Snapshot, view: View) -> str | None:

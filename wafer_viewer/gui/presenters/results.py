@@ -1,18 +1,13 @@
-"""Items under review and kept results: their regions, tool and colours, and features made of them. Pure."""
+"""Kept results: their regions, and features made of them. Pure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import viser
-
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.job import Judgement, Word
 from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolName
-from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, ToolOptions
 from wafer_viewer.model.quantity import Quantity, Unit
 from wafer_viewer.model.region import Point, Region
@@ -93,50 +88,3 @@ def bounds_of(finding: AnyResult, least_um: float = 0.0) -> Box:
     x1, y1 = (max(box[k] for box in boxes) for k in (2, 3))
     spare_x, spare_y = (max(0.0, (least_um - side) / 2) for side in (x1 - x0, y1 - y0))
     return x0 - spare_x, y0 - spare_y, x1 + spare_x, y1 + spare_y
-
-
-# ---------------------------------------------------------------------------------------------------------- review item
-
-
-Row = tuple[str, str, str, str]
-"""Name, value, U, unit."""
-VERDICTS = {"open": "open", "accepted": "accepted", "rejected": "rejected"}
-
-
-@dataclass(frozen=True, slots=True)
-class ReviewItem:
-    """Item to judge: symbol, position, quantities, verdict of the instrument, judgement of the user.
-
-    value: HTML for the list. show: surface of the measurement; number: number of the result, defect: number of the
-    defect, None for others. word: verdict of the instrument, None if there is none; said: its reason.
-    """
-
-    key: str
-    sign: str
-    colour: str
-    title: str
-    below: str
-    value: str
-    rows: tuple[Row, ...]
-    judgement: Judgement
-    box_um: Box | None = None
-    show: int = 0
-    levelling: Levelling = Levelling()
-    number: int | None = None
-    word: Word | None = None
-    reason: str = ""
-    defect: int | None = None
-    shape: str = "disc"
-
-    @property
-    def verdict_text(self) -> str:
-        """Verdict of the instrument, if any, and judgement of the user, as text."""
-        people = VERDICTS[self.judgement.verdict]
-        return people if self.word is None else f"{LOOKS[self.word][0]}, {people}"
-
-
-VERDICT_LOOKS = {
-    "open": (viser.Icon.CIRCLE_DASHED, "ink3"),
-    "accepted": (viser.Icon.CIRCLE_CHECK, "good"),
-    "rejected": (viser.Icon.CIRCLE_X, "fault"),
-}

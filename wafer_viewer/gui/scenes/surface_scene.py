@@ -11,7 +11,7 @@ import viser
 from wafer_viewer.draw.number_format import number, ticks
 from wafer_viewer.draw.surface import mesh, texture_baking
 from wafer_viewer.draw.surface.mesh import painted
-from wafer_viewer.gui.presenters.defects import chosen_defect
+from wafer_viewer.gui.presenters.review import chosen_defect
 from wafer_viewer.gui.scene.camera_presets import Clear
 from wafer_viewer.gui.scene.display_range import DisplayRangeHysteresis, as_planned
 from wafer_viewer.gui.scene.primitives import Box, add_glb, image_plane, lines

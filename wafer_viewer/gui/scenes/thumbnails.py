@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Sequence
 from concurrent.futures import CancelledError, Future
 
 import numpy as np
 from markupsafe import Markup
 
+from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import sign_colour
 from wafer_viewer.gui.presenters.results import Box, bounds_of
+from wafer_viewer.gui.presenters.review import ReviewItem
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.region_tools import outline_of
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyResult
+from wafer_viewer.model.inspection.defect import Evidence
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -31,6 +35,14 @@ class Thumbnails:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._requested: dict[RenderRequest, Future[bytes]] = {}
+
+    def painted_all(self, requests: Sequence[RenderRequest | None]) -> list[bytes]:
+        """Return images as `painted` does, and cancel all other requests that are pending."""
+        wanted = set(requests)
+        for request in [request for request, future in self._requested.items() if not future.done()]:
+            if request not in wanted:
+                self._requested.pop(request).cancel()
+        return [self.painted(request) if request is not None else b"" for request in requests]
 
     def of(self, finding: AnyResult, snapshot: Snapshot) -> Markup:
         """Return the thumbnail of a result, with its regions outlined in its colour, as HTML."""
@@ -49,12 +61,32 @@ class Thumbnails:
 
 def thumbnail(jpeg: bytes, over: str = "") -> Markup:
     """Return a thumbnail with an overlay as HTML."""
-    image = (
-        Markup('<img alt="" src="data:image/jpeg;base64,{}">').format(base64.b64encode(jpeg).decode())
-        if jpeg
-        else Markup()
-    )
-    return Markup('<span class="wv-thumb">{}{}</span>').format(image, over)
+    return Markup('<span class="wv-thumb">{}{}</span>').format(image(jpeg), over)
+
+
+def image(jpeg: bytes) -> Markup:
+    """Return an image as HTML; empty without one."""
+    src = base64.b64encode(jpeg).decode()
+    return Markup('<img alt="" src="data:image/jpeg;base64,{}">').format(src) if jpeg else Markup()
+
+
+DEFECT_PX, DEFECT_ROOM, LEAST_DEFECT_PX = 96, 1.8, 48
+"""Side of the picture of a defect, relative to its size, and at least in pixels of the surface."""
+LAYERS: dict[Evidence, DisplayStyle] = {"picture": DisplayStyle(colour_by="grey")}
+"""Display style of a defect that shows in the picture only; else that of heights."""
+
+
+def defect_request(item: ReviewItem, snapshot: Snapshot) -> RenderRequest | None:
+    """Return the request for the square picture of a defect; None while its surface is not available."""
+    source = source_of(snapshot, item.show)
+    if source is None or item.box_um is None:
+        return None
+    (x0, y0, x1, y1), pixel_um = item.box_um, snapshot.surface.pixel_um if snapshot.surface else 1.0
+    half = max(DEFECT_ROOM * max(x1 - x0, y1 - y0), LEAST_DEFECT_PX * pixel_um) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    look = LAYERS.get(item.evidence, DisplayStyle())
+    box = (x - half, y - half, x + half, y + half)
+    return RenderRequest(source, "picture", box_um=box, side_px=DEFECT_PX, look=look)
 
 
 def painted(page: Page, finding: AnyResult, wait_s: float) -> bytes | None:

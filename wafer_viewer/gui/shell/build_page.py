@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.defects.die_views import DefectStack
-from wafer_viewer.gui.defects.reference_view import DefectBeside, DefectDock
 from wafer_viewer.gui.elements.step import Here, StepDock, StepPanel
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
-from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar
+from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar, StepSheet
 from wafer_viewer.gui.overlays.toolbar import PrintPicture, Toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.control_handover import ControlLock
@@ -30,9 +28,9 @@ from wafer_viewer.gui.page.page import Page, PagePart
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
 from wafer_viewer.gui.page.stop import complete_fields_sentence
 from wafer_viewer.gui.page.work_steps import possible
-from wafer_viewer.gui.review import ReviewPanel
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.shell.header import CONFIRMATION_PICKS, HEADER_PICKS, NOT_CONFIRMED, confirmation, header
 from wafer_viewer.gui.shell.header import FAILED as NOT_DRAWN
 from wafer_viewer.gui.shell.left_panel import LeftPanel, MapState
@@ -66,6 +64,13 @@ from wafer_viewer.gui.steps.plan import PICKS, plan_step
 from wafer_viewer.gui.steps.plan_form import NOT_CHANGED, PlanState
 from wafer_viewer.gui.steps.report import ReportChoices, report_commands, report_step
 from wafer_viewer.gui.steps.results import choose_result
+from wafer_viewer.gui.steps.review.defect_list import section_commands
+from wafer_viewer.gui.steps.review.die_map import map_commands
+from wafer_viewer.gui.steps.review.die_stack import stack_commands
+from wafer_viewer.gui.steps.review.judging import NOT_JUDGED, Review, review_commands
+from wafer_viewer.gui.steps.review.panes import section_dock
+from wafer_viewer.gui.steps.review.review_step import REVIEW_PICKS, review_step
+from wafer_viewer.gui.steps.review.sheet import SHEET_PICKS, SheetState, review_sheet
 from wafer_viewer.gui.steps.surface.comparison import comparison_commands
 from wafer_viewer.gui.steps.surface.focus_evidence import (
     EVIDENCE_PICKS,
@@ -252,7 +257,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     with always_mounted(page.gui):
         theme = PageTheme(page)
         head, contact, tour = StepPanel(page, header, None, NOT_DRAWN, HEADER_PICKS), Contact(page), TourGuide(page)
-    left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
+    review = Review(page)
+    left = LeftPanel(page, review)  # docked before anything is drawn: the scene is drawn anew when it changes its size
     control_lock = ControlLock(page)
     reopened = StepPanel(page, confirmation, None, NOT_CONFIRMED, CONFIRMATION_PICKS)
     poses = PoseCache(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
@@ -260,6 +266,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     failed = partial(tell_failure, page, "The scene is not complete")
     scene = SceneView(client, session, failed, poses, page.viewport)
     ear.on_motion(scene.let_fly)
+    review.on_fly(scene)
     curves = LiveProfiles(page)
     viewpoint, drawing, welcome = Viewpoint(page, scene), ScenePart(scene, curves), Welcome(page)
     page.show_first([theme, head, welcome, viewpoint, drawing])
@@ -270,9 +277,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     instrument = StepPanel(page, instrument_step, None, NOT_RUN, INSTRUMENT_PICKS)
     surface = StepPanel(page, surface_step, SurfaceState(poses, scene.range_in_view, statistics), FAILED, SURFACE_PICKS)
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
-    gauge, review = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS), ReviewPanel(page, scene)
+    gauge = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS)
     report = StepPanel(page, report_step, ReportChoices(), "The report was not changed")
-    comparison, stack = DefectBeside(page), DefectStack(page, review.go_to)
+    sheet = StepSheet(page, review_sheet, SheetState(review, Thumbnails(page)), SHEET_PICKS)
     why = StepPanel(page, evidence_step, Explained(), "The explanation was not changed", EVIDENCE_PICKS)
     ear.left = left.panel
     read_out = ReadOutBox(page)
@@ -290,7 +297,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             measure,
             gauge,
             instrument,
-            review,
+            StepPanel(page, review_step, review, NOT_JUDGED, REVIEW_PICKS),
             report,
             why,
             left,
@@ -307,12 +314,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             StepDock(page, "why", evidence_dock, ChosenFrame(), "The frame was not chosen", FRAME_PICKS),
             StepDock(page, "gauge", run_chart_dock, None, CHECK_FAILED),
             StepDock(page, "calibration", calibration_dock, None, NOT_RUN),
-            DefectDock(page),
+            sheet,
+            StepDock(page, "defect", section_dock, None, "The section was not drawn"),
             StepDock(page, "live", live_dock, FIRST_ENDS_UM, "The curve is not shown", CURVE_PICKS),
             LivePicture(page),
             live,
-            comparison,
-            stack,
             StepReadout(page),
         ),
         welcome,
@@ -324,14 +330,14 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         drawing,
     ]
     _listen_to_page(page, scene, left)
-    left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why.here)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, tour, review, *left.with_commands, comparison, stack
-    of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here)]
-    of_steps += [*gauge_commands(gauge.here), *instrument_commands(page), *live_commands(page)]
+    with_verbs = welcome, tour
+    of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here), *live_commands(page)]
+    of_steps += [*gauge_commands(gauge.here), *instrument_commands(page), *review_commands(review)]
+    of_steps += [*section_commands(left.defects.here), *map_commands(review), *stack_commands(sheet.here, review)]
     of_parts = [command for part in with_verbs for command in part.commands()] + of_steps
-    verbs = [*of_parts, *commands_of(page, Parts(plan.here, measure.here, why.here))]
+    verbs = [*of_parts, *commands_of(page, Parts(plan.here, measure.here, why.here, review))]
     parts.insert(1, _palette(page, scene, verbs))
     page.on_close(scene.close)
     page.begin(parts)
@@ -359,9 +365,7 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel) -> None:
     """Connect clicks in the left panel, on the overlays and in the header."""
     page.on_pick("finding", lambda key: choose_result(page, int(key), scene.fly_to))
     page.on_pick("stage-zero", lambda _: page.change(levelling=Levelling(), range_um=None))
-    left.defects.on_chosen(scene.fly_to)
     left.map.here.own = MapState(scene.visible_um, scene.fly_to)
-    left.dies.on_camera_view(scene.visible_um)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("tool", lambda tool: use_tool(page, tool))
     page.on_pick("look", scene.look_from)

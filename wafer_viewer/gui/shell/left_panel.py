@@ -28,9 +28,6 @@ from wafer_viewer.draw.charts.wafer_map import (
 )
 from wafer_viewer.draw.colormaps import BRUSH
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.defects.defect_dialogs import other_marks
-from wafer_viewer.gui.defects.defect_section import DefectSection
-from wafer_viewer.gui.defects.die_views import DefectMap, has_die_map
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Text
 from wafer_viewer.gui.elements.step import Here, Picks, StepPanel
 from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
@@ -38,8 +35,7 @@ from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
-from wafer_viewer.gui.presenters.results import ReviewItem
-from wafer_viewer.gui.presenters.review import review_items, review_list
+from wafer_viewer.gui.presenters.review import ReviewItem, review_items
 from wafer_viewer.gui.scenes.thumbnails import Thumbnails
 from wafer_viewer.gui.shell.saved_views import views_html
 from wafer_viewer.gui.state.view_state import View
@@ -47,6 +43,10 @@ from wafer_viewer.gui.steps.gauge.gauge_check import CHECK_PICKS, NOT_TICKED, ch
 from wafer_viewer.gui.steps.gauge.instrument import NOT_READ, calibration_list
 from wafer_viewer.gui.steps.live.places import NOT_KEPT, PLACE_PICKS, live_places
 from wafer_viewer.gui.steps.results import NOT_CHANGED, result_list
+from wafer_viewer.gui.steps.review.defect_list import DEFECT_PICKS, DefectsState, defect_list, review_list
+from wafer_viewer.gui.steps.review.dialogs import other_marks
+from wafer_viewer.gui.steps.review.die_map import MAP_PICKS, die_map, has_die_map
+from wafer_viewer.gui.steps.review.judging import NOT_JUDGED, Review
 from wafer_viewer.gui.steps.surface.comparison import COMPARISON_PICKS, ComparisonForm, comparison_list
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.style import LEFT_PX
@@ -86,15 +86,16 @@ class MapState:
 class LeftPanel:
     """Map, then jobs, saved views, and the lists of the step, such as datasets, defects or results."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Page, review: Review) -> None:
         self.panel = panel = page.gui.add_panel()
         with panel.add_tab("Sample"):
             self.map = StepPanel(page, field_map, MapState(), NOT_MOVED, FIELD_PICKS)
-            self.dies = DefectMap(page)
+            dies = StepPanel(page, die_map, (review, lambda: self.map.here.own.camera_view()), NOT_JUDGED, MAP_PICKS)
             places = StepPanel(page, live_places, None, NOT_KEPT, PLACE_PICKS)
             works = StepPanel(page, works_and_views, None, NOT_LISTED)
-            self.defects = DefectSection(page)
-            review = StepPanel(page, reviewed, None, NOT_LISTED)
+            defects = DefectsState(review=review, thumbnails=Thumbnails(page), fly=review.fly)
+            self.defects = StepPanel(page, defect_list, defects, "The form was not changed", DEFECT_PICKS)
+            features = StepPanel(page, reviewed, None, NOT_LISTED)
             gauge = StepPanel(page, check_list, None, NOT_TICKED, CHECK_PICKS)
             calibrations = StepPanel(page, calibration_list, None, NOT_READ)
             failed = "The comparison was not changed"
@@ -104,13 +105,8 @@ class LeftPanel:
             results = StepPanel(page, result_list, Thumbnails(page), NOT_CHANGED)
         panel.dock_left()
         panel.set_width(LEFT_PX)
-        self._parts = (self.map, self.dies, places, works, self.defects, review, gauge, calibrations, self.compare)
+        self._parts = (self.map, dies, places, works, self.defects, features, gauge, calibrations, self.compare)
         self._parts = *self._parts, datasets, results
-
-    @property
-    def with_commands(self) -> tuple[DefectSection, DefectMap]:
-        """Sections that have commands of their own."""
-        return self.defects, self.dies
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -11,7 +12,7 @@ from markupsafe import Markup
 
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.preconditions import surface_not_shown
+from wafer_viewer.gui.page.preconditions import not_on_defect, surface_not_shown
 from wafer_viewer.gui.scene.camera_presets import CameraPose
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import SavedCamera, View, keep_standpoint
@@ -50,7 +51,8 @@ class SavedViews:
     def _going_to(self, saved: SavedView) -> Command:
         key, held = (f"{saved.number}", "shift") if saved.number <= WITH_KEYS else (None, None)
         name = f"Go to view: {saved.name}"
-        return Command(name, key, lambda: self.go_to(saved.number), viser.Icon.BOOKMARK, held, "Look", listed=False)
+        act, elsewhere = partial(self.go_to, saved.number), not_on_defect
+        return Command(name, key, act, viser.Icon.BOOKMARK, held, "Look", listed=False, here=elsewhere)
 
     def ask_name(self) -> None:
         """Open the dialog that saves the camera pose and the display settings under a name."""

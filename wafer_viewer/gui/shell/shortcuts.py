@@ -6,7 +6,7 @@ A command that is not possible notifies why when it is chosen, by key or in the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
@@ -16,7 +16,6 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page import preconditions as judgement
 from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.import_dialog import import_dialog
 from wafer_viewer.gui.page.import_export_dialogs import (
@@ -36,6 +35,7 @@ from wafer_viewer.gui.page.preconditions import (
     no_result,
     no_room_for_lines,
     no_surface,
+    not_on_defect,
     nothing_to_redo,
     nothing_to_undo,
     surface_not_drawable,
@@ -51,6 +51,7 @@ from wafer_viewer.gui.steps.plan import save, start, why_not_start
 from wafer_viewer.gui.steps.plan_form import PlanState
 from wafer_viewer.gui.steps.profiles import LineCommands
 from wafer_viewer.gui.steps.results import delete_result, rename_result
+from wafer_viewer.gui.steps.review.judging import Review
 from wafer_viewer.gui.steps.surface.focus_evidence import Explained, toggle_explanation
 from wafer_viewer.gui.steps.surface.surface_step import COLOUR_BY, FULL_BLEND, FULL_SHADE, LOOKS
 from wafer_viewer.gui.tools.tool_palette import icon_of
@@ -83,6 +84,7 @@ class Parts:
     plan: Here[PlanState]
     measure: Here[MeasureState]
     why: Here[Explained]
+    review: Review
 
 
 def commands_of(page: Page, parts: Parts) -> list[Command]:
@@ -244,6 +246,7 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
             icon_of(tool),
             "shift" if tool.shift else None,
             "Measure",
+            here=not_on_defect if tool.shift else None,
         )
         for tool in TOOLS.values()
         if tool.key
@@ -263,7 +266,15 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
         *with_precondition(
             no_other_line,
             Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
-            Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
+            Command(
+                "Next profile line",
+                "N",
+                lines.next,
+                ICON.ARROW_RIGHT,
+                "shift",
+                "Measure",
+                here=not_on_defect,
+            ),
         ),
         *with_precondition(partial(why_not_keep, parts.measure), keep),
         *with_precondition(
@@ -279,11 +290,17 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
 
     def undo() -> None:
         of_step = {"plan": session.undo, "acquire": session.undo, "measure": session.undo_findings}
-        page.ask("Nothing was undone", of_step.get(page.view.step, lambda: judgement.undo(session, page.view))())
+        if (command := of_step.get(page.view.step)) is not None:
+            page.ask("Nothing was undone", command())
+        else:
+            parts.review.take_back("undo")
 
     def redo() -> None:
         of_step = {"plan": session.redo, "acquire": session.redo, "measure": session.redo_findings}
-        page.ask("Nothing was redone", of_step.get(page.view.step, lambda: judgement.redo(session, page.view))())
+        if (command := of_step.get(page.view.step)) is not None:
+            page.ask("Nothing was redone", command())
+        else:
+            parts.review.take_back("redo")
 
     def leave() -> None:
         """Close the innermost open item: tour, explanation, sheet, filter, selection, brush or tool."""
@@ -291,8 +308,8 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
             page.change(tour=None)
         elif page.view.explains:
             page.change(why=None)
-        elif page.view.sheet_over != "none":
-            page.change(sheet="none")
+        elif page.view.sheet_over in ("gallery", "stack"):
+            page.change(sheet="beside", marked=())
         elif page.view.lists_some:
             page.change(defects=page.view.defects.widened)
         elif page.view.selecting:
@@ -310,9 +327,12 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
         """Handle Escape only if a tool, selection, filter or sheet is open."""
         selects = view.step == "surface" and (view.selecting or view.selection is not None)
         narrowed = (
-            view.lists_some or view.tour is not None or view.sheet_over != "none" or selects or view.brush is not None
+            view.lists_some
+            or view.tour is not None
+            or view.sheet_over in ("gallery", "stack")
+            or view.brush is not None
         )
-        return view.explains or narrowed or view.tool != "none" or view.selected is not None
+        return selects or view.explains or narrowed or view.tool != "none" or view.selected is not None
 
     return [
         Command("Leave the tool", "escape", leave, ICON.X, group="Page", here=in_use),
@@ -431,6 +451,8 @@ class Palette:
     def __init__(self, page: Page, commands: Sequence[Command], more: Source) -> None:
         self._page, self._commands, self._more = page, commands, more
         self._registered: dict[Name, Any] = {}
+        self._in_order = ThreadPoolExecutor(1, thread_name_prefix="keys of a review")
+        page.on_close(lambda: self._in_order.shutdown(wait=False))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the browser's list up to date."""
@@ -451,8 +473,15 @@ class Palette:
             icon=command.icon,
         )
         heard = guarded(self._page, f"{command.name} failed")(lambda _: carry_out(self._page, command))
-        handle.on_trigger(heard)
+        if command.group == "Review":
+            handle.on_trigger(partial(self._heard_in_order, heard))
+        else:
+            handle.on_trigger(heard)
         return handle
+
+    async def _heard_in_order(self, heard: Callable[[Any], None], event: Any) -> None:
+        """Carry out one after the other: viser's threads would mix up the keys of a fast hand."""
+        self._in_order.submit(heard, event)
 
 
 def carry_out(page: Page, command: Command) -> None:

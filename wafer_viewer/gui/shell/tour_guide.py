@@ -17,9 +17,9 @@ from wafer_viewer.draw.number_format import duration, number, size, with_unit
 from wafer_viewer.gui.page.import_dialog import import_dialog
 from wafer_viewer.gui.page.import_export_dialogs import open_dialog
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.review import JUDGEMENTS
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.steps.report import report_address
+from wafer_viewer.gui.steps.review.judging import JUDGEMENTS
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, add_html, command_button, leading, outlined, set_prop
@@ -183,10 +183,9 @@ def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
         case 5:
             if view.step != "review":
                 return Note("Judge a defect", Markup("Press <b>Review</b>."), "Review")
-            label = JUDGEMENTS[0][1]
-            text = Markup("Picture, heights and class are on the right. Is it real? Press <b>{}</b> or key Y.").format(
-                label
-            )
+            label = JUDGEMENTS[0][2]
+            words = Markup("Place, reference and difference are shown. Is it real? Press <b>{}</b> or key Y.")
+            text = words.format(label)
             return Note("Judge a defect", text, label)
         case _:
             if view.step != "report":

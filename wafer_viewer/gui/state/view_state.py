@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from typing import Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 import msgspec
 import viser
@@ -19,11 +19,13 @@ import viser
 from wafer_viewer.model.acquisition.characteristics import CalibrationKind
 from wafer_viewer.model.errors import WaferViewerError, parser_errors_as
 from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.sections import OtherSurface
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.measurement.tools import ToolOptions
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Positive, Setting, Spec
 from wafer_viewer.model.surface.clipping import BeforeSlab, Box, Clip, Slab, Span
 from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
 from wafer_viewer.session.state.snapshot import Fault
@@ -33,23 +35,28 @@ from wafer_viewer.session.state.snapshot import Fault
 
 DefectSort = Literal["size", "height", "score", "die", "class"]
 MapBy = Literal["class", "count"]
+CLASS_TITLES = {"": "All"} | {kind: look.title for kind, look in DEFECT_CLASSES.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class DefectListing:
+class DefectListing(Spec, frozen=True, kw_only=True):
     """Sort order and filters of the defect list.
 
     sort: key of the order.
-    kind, die: filters by class and by die; empty for all.
+    kind, die: class and die; empty for all.
     map_by: quantity that colours the dies of the map.
-    numbers: filter by defect numbers, those at one position that repeats from die to die; empty for all.
+    numbers: defects at one position that repeats from die to die; empty for all.
     """
 
     sort: DefectSort = "size"
-    kind: str = ""
-    die: str = ""
+    kind: Annotated[str, Setting("Class", "Only defects of this class", titles=CLASS_TITLES)] = ""
+    die: Annotated[str, Setting("Die", "Only this die, as column,row; empty: all")] = ""
     map_by: MapBy = "class"
     numbers: tuple[int, ...] = ()
+    least_size_um: Annotated[Positive | None, Setting("Size ≥, µm", "Least length; empty: any")] = None
+    most_size_um: Annotated[Positive | None, Setting("Size ≤, µm", "Greatest length; empty: any")] = None
+    least_height_um: Annotated[float | None, Setting("Height ≥, µm", "Pits are negative; empty: any")] = None
+    most_height_um: Annotated[float | None, Setting("Height ≤, µm", "Pits are negative; empty: any")] = None
+    least_confidence: Annotated[Positive | None, Setting("Confidence ≥", "Of the search, up to 1; empty: any")] = None
 
     @property
     def narrowed(self) -> bool:
@@ -59,7 +66,26 @@ class DefectListing:
     @property
     def widened(self) -> DefectListing:
         """The same list without filters."""
-        return replace(self, kind="", die="", numbers=())
+        return DefectListing(sort=self.sort, map_by=self.map_by)
+
+    def holds(self, defect: Defect) -> bool:
+        """Return whether a defect passes all filters."""
+        return (
+            self.kind in ("", defect.seen_as)
+            and self.die in ("", defect.die)
+            and (not self.numbers or defect.number in self.numbers)
+            and _within(defect.major.value_um, self.least_size_um, self.most_size_um)
+            and _within(defect.height.value_um, self.least_height_um, self.most_height_um)
+            and _within(defect.confidence, self.least_confidence, None)
+        )
+
+
+FILTERED = (*("kind", "die", "least_size_um", "most_size_um", "least_height_um", "most_height_um", "least_confidence"),)
+"""Filters that a person sets in the form of the list."""
+
+
+def _within(value: float, least: float | None, most: float | None) -> bool:
+    return (least is None or value >= least) and (most is None or value <= most)
 
 
 def _rank(die: str) -> tuple[int, ...]:
@@ -84,10 +110,10 @@ SORTS: dict[DefectSort, tuple[str, Callable[[Defect], Any]]] = {
 
 def listed(defects: Iterable[Defect], listing: DefectListing) -> tuple[Defect, ...]:
     """Return the filtered defects in order; unmeasured areas, which are not defects, last."""
-    listed = (d for d in defects if listing.kind in ("", d.seen_as) and listing.die in ("", d.die))
-    listed = (d for d in listed if not listing.numbers or d.number in listing.numbers)
     order = SORTS[listing.sort][1]
-    return tuple(sorted(listed, key=lambda defect: (defect.seen_as == "unmeasured", order(defect))))
+    return tuple(
+        sorted(filter(listing.holds, defects), key=lambda defect: (defect.seen_as == "unmeasured", order(defect)))
+    )
 
 
 def next_die(defects: Iterable[Defect], listing: DefectListing, by: int) -> str | None:
@@ -137,7 +163,9 @@ ColourBy = Literal[
 Tool = ToolName
 """Active tool, or none."""
 ReviewFilter = Literal["all", "open", "accepted", "rejected"]
-Sheet = Literal["none", "beside", "stack"]
+Sheet = Literal["none", "beside", "gallery", "stack"]
+Pane = Literal["as seen", "height", "picture"]
+Compared = Literal["reference", "before"]
 Counted = Literal["all", "view", "selection"]
 Below = Literal["none", "profile", "why", "gauge", "defect", "live", "calibration"]
 
@@ -176,7 +204,11 @@ class View:
     review: key of the item under review; None for the first.
     review_filter: filter of the review list.
     defects: sort order and filters of the defect list.
-    sheet: overlay in a review: comparison of the defect, or all dies stacked onto one.
+    sheet: what a review shows over the scene: the defect with its reference, the gallery of all defects, or all dies
+    stacked onto one.
+    pane: what its pictures show: heights or grey values; "as seen": where the search saw the defect.
+    compared: with what: the reference of the inspection, or an earlier scan.
+    marked: numbers of the defects that are selected in the gallery.
     everything: True if a released job is shown with all settings, not only the four actions of its operator.
     counted: part of the surface that the statistics refer to.
     selection: a rectangle of the stage in um.
@@ -224,7 +256,10 @@ class View:
     review: str | None = None
     review_filter: ReviewFilter = "all"
     defects: DefectListing = DefectListing()
-    sheet: Sheet = "none"
+    sheet: Sheet = "beside"
+    pane: Pane = "as seen"
+    compared: Compared = "reference"
+    marked: tuple[int, ...] = ()
     everything: bool = False
     counted: Counted = "all"
     selection: Box | None = None
@@ -304,8 +339,14 @@ class View:
 
     @property
     def sheet_over(self) -> Sheet:
-        """Current overlay of the scene."""
-        return self.sheet if self.step == "review" and not self.explains else "none"
+        """Current overlay of the scene; one defect is compared only while a defect is under review."""
+        shown = self.step == "review" and not self.explains and (self.sheet != "beside" or self.reviews_defect)
+        return self.sheet if shown else "none"
+
+    @property
+    def reviews_defect(self) -> bool:
+        """True if a defect is under review."""
+        return self.step == "review" and self.review is not None and self.review.startswith(OF_DEFECT)
 
     @property
     def explains(self) -> bool:
@@ -321,8 +362,8 @@ class View:
             return "live"
         if self.step == "gauge":
             return "calibration" if self.instrument else "gauge"
-        if self.step == "review" and self.review is not None and self.review.startswith(OF_DEFECT):
-            return "defect"
+        if self.reviews_defect:
+            return "none" if self.sheet == "gallery" else "defect"
         return "profile" if self.step == "measure" and self.tool == "profile" else "none"
 
 

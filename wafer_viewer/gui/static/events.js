@@ -28,6 +28,7 @@ const within = share => Math.max(0, Math.min(1, share));
 const shares = (event, at) => [event.offsetX / at.clientWidth, event.offsetY / at.clientHeight];
 const PLACES = {
   picture: (event, at) => shares(event, at).join(),
+  held: (event, at) => (event.shiftKey ? 'to ' : event.ctrlKey || event.metaKey ? 'and ' : '') + at.dataset.k,
   corner: (event, at) => [at.dataset.at, ...(event.detail ? shares(event, at) : [0.5, 0.5])].join(';'),
   map: (event, at) => {
     /* Stage um, at any display scale: those at the upper left corner of the drawing, and its scale. */
@@ -42,7 +43,7 @@ on('click', 'pick', (event, at, what) => {
 on('keydown', 'pick', (event, at) => {
   if (at.getAttribute('role') !== 'button' || (event.key !== 'Enter' && event.key !== ' ')) return;
   event.preventDefault();
-  window.wvClick(at);
+  window.wvClick(at, { shiftKey: event.shiftKey, ctrlKey: event.ctrlKey, metaKey: event.metaKey });
 });
 
 /* Enter and leaving a field end a pause in typing; later than the value, which viser sends once in 50 ms. */

@@ -115,6 +115,17 @@ def command_link(text: str, what: str, key: object = "", action: Action | None =
     return Markup('<span class="wv-link"{} {}>{}</span>').format(named, command_pick(what, key, action), text)
 
 
+def segments(what: str, options: Iterable[tuple[str, str]], chosen: str, label: str = "", look: str = "") -> Markup:
+    """Return a choice of one of a few `options`, pairs of key and title, that picks a key of `what`."""
+    buttons = Markup("").join(
+        Markup('<span class="{}" aria-pressed="{}" {}>{}</span>').format(
+            "on" if key == chosen else "", str(key == chosen).lower(), pick(what, key), title
+        )
+        for key, title in options
+    )
+    return Markup('<div class="{}" role="group" aria-label="{}">{}</div>').format(look or "wv-segments", label, buttons)
+
+
 def title_action(text: str, attributes: Markup, title: str = "", possible: bool = True) -> Markup:
     """Return a small action at the right end of a title; attributes: those of a pick."""
     named = Markup(' title="{}"').format(title) if title else Markup()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Generic, TypeVar
 
 from wafer_viewer.gui.widgets.controls import Gui
@@ -116,23 +115,6 @@ class OptionalNumber(_Optional[float]):
         self, gui: Gui, label: str, value: float | None = None, *, hint: str | None = None, **limits: Any
     ) -> None:
         super().__init__(gui, label, value, lambda text: number_of(text, label, **limits), text_of, hint)
-
-
-class OptionalPair(_Optional[Pair]):
-    """Two optional numbers greater than `over`; `between`: separator, ``" × "`` of sides, ``", "`` of a position."""
-
-    def __init__(
-        self,
-        gui: Gui,
-        label: str,
-        value: Pair | None = None,
-        *,
-        over: float | None = None,
-        between: str = SIDES,
-        hint: str | None = None,
-    ) -> None:
-        read, write = partial(pair_of, name=label, over=over), partial(pair_text, between=between)
-        super().__init__(gui, label, value, read, write, hint)
 
 
 def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:

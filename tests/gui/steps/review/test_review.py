@@ -9,11 +9,13 @@ import numpy as np
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as operator
 from wafer_viewer.gui.page.work_steps import done
-from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, review_items, review_list
+from wafer_viewer.gui.presenters.review import chosen_item, neighbour, review_items
 from wafer_viewer.gui.scene.camera_presets import CameraPose
 from wafer_viewer.gui.shell.left_panel import field_at
 from wafer_viewer.gui.shell.saved_views import LOOKED, choices, saved
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.review.defect_list import review_list
+from wafer_viewer.gui.steps.review.review_step import numbers_of
 from wafer_viewer.model.job import Judgement, Notebook, keys_of_features
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import NotebookState, Operating, Snapshot
@@ -27,6 +29,11 @@ def noted(snapshot: Snapshot, *judgements: Judgement) -> Snapshot:
 
 def judged(*judgements: Judgement) -> Snapshot:
     return noted(fake.measured(), *judgements)
+
+
+def at(key: str | None, **chosen: str) -> View:
+    """A review of one item."""
+    return View(step="review", review=key, **chosen)
 
 
 def test_results_are_items_with_their_place_numbers_and_judgement():
@@ -56,20 +63,21 @@ def test_a_filter_lists_what_is_open_or_was_rejected():
 def test_going_on_runs_round_the_ends_and_starts_at_either():
     now = fake.measured()
     first, last = (item.key for item in review_items(now))
-    assert neighbour(now, last, 1).key == first
-    assert neighbour(now, first, -1).key == last
-    assert neighbour(now, "gone", 1).key == first
-    assert neighbour(dataclasses.replace(now, findings=()), None, 1) is None
-    assert chosen_item(now, "gone").key == first
+    assert neighbour(now, at(last), 1).key == first
+    assert neighbour(now, at(first), -1).key == last
+    assert neighbour(now, at("gone"), 1).key == first
+    assert neighbour(now, at(None), 1).key == last
+    assert neighbour(dataclasses.replace(now, findings=()), at(None), 1) is None
+    assert chosen_item(now, at("gone")).key == first
 
 
 def test_one_goes_on_to_what_is_open_and_back_to_what_was_before():
     now = noted(operator.judged(operator.FAIL), Judgement(key="feature pad over die", verdict="accepted"))
-    assert neighbour(now, "feature die over street", 1).key == "result 1"
-    assert neighbour(now, "result 1", -1).key == "feature pad over die"
-    assert neighbour(now, "result 2", 1, "rejected") is None
+    assert neighbour(now, at("feature die over street"), 1).key == "result 1"
+    assert neighbour(now, at("result 1"), -1).key == "feature pad over die"
+    assert neighbour(now, at("result 2", review_filter="rejected"), 1) is None
     everything = tuple(Judgement(key=item.key, verdict="accepted") for item in review_items(now))
-    assert neighbour(noted(now, *everything), "result 1", 1).key == "result 2"
+    assert neighbour(noted(now, *everything), at("result 1"), 1).key == "result 2"
 
 
 def test_a_feature_that_fails_stands_before_those_that_pass_and_says_so_beside_its_limits():
@@ -80,7 +88,7 @@ def test_a_feature_that_fails_stands_before_those_that_pass_and_says_so_beside_i
     assert shown.index("FAIL") < shown.index("PASS") < shown.index("Die to trench")
     assert "<b>2.310</b> ± 0.060<small>1.8 … 2.2" in shown
     assert 'aria-label="pad over die, FAIL, open"' in shown
-    assert "Over the upper limit." in numbers(first)
+    assert "Over the upper limit." in numbers_of(first)
 
 
 def test_features_of_one_name_are_judged_apart():

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.browser.sessions.fake_defect_files import other_file
 from tests.browser.sessions.inspected_session import PLANTED, found
-from wafer_viewer.gui.defects.defect_dialogs import FORMATS, LOSES, other_marks, overlay_html
+from wafer_viewer.gui.steps.review.dialogs import FORMATS, LOSES, other_marks, overlay_html
 from wafer_viewer.session.inspection.inspection_files import TITLES, WRITERS, overlay_klarf
 
 INSPECTION = found(PLANTED)

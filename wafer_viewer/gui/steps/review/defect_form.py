@@ -201,3 +201,13 @@ def _scales(text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.replace(";", ",").split(",") if part.strip())
     except ValueError as fault:
         raise MeasureError(f"The scales {text!r} are not numbers: write them as 0, 1.5, 4, 10.") from fault
+
+
+TINY_PER_MM2 = 1e-3
+
+
+def per_mm2(count: float | None) -> str:
+    """Format an expected density per mm²; a sentence for None."""
+    if count is None:
+        return "not known before an inspection"
+    return f"under {number(TINY_PER_MM2, 3)} per mm²" if count < TINY_PER_MM2 else f"{number(count, 3)} per mm²"

@@ -10,21 +10,19 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import PLANTED, found
 from wafer_viewer.gui.page.preconditions import can_undo
 from wafer_viewer.gui.page.work_steps import all_judged, possible
-from wafer_viewer.gui.presenters.defects import (
-    MOST_ROWS,
+from wafer_viewer.gui.presenters.review import (
+    alike,
     chosen_defect,
-    classes,
-    cut_through,
-    facts,
-    nothing_found,
+    first_changed,
+    item_at,
+    neighbour,
     number_of,
-    per_mm2,
-    rows,
-    rows_of,
-    summary,
+    review_items,
 )
-from wafer_viewer.gui.presenters.review import chosen_item, neighbour, numbers, review_items
 from wafer_viewer.gui.state.view_state import SORTS, DefectListing, View, listed
+from wafer_viewer.gui.steps.review.defect_form import per_mm2
+from wafer_viewer.gui.steps.review.defect_list import MOST_ROWS, alone, facts, nothing_found, rows, rows_of, summary
+from wafer_viewer.gui.steps.review.review_step import classes, numbers_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
@@ -38,22 +36,27 @@ def inspected(inspection=INSPECTION, **state: object) -> Snapshot:
     return dataclasses.replace(fake.measured(), findings=(), inspection=InspectionState(inspection, **state))
 
 
+def at(key: str | None, **listing: object) -> View:
+    """A review of one item of a list."""
+    return View(step="review", review=key, defects=DefectListing(**listing))
+
+
 def signs(now: Snapshot, only="all", **listing: object) -> list[str]:
     return [item.sign for item in review_items(now, only, DefectListing(**listing))]
 
 
 def test_defects_are_items_with_their_numbers_place_and_reasons():
-    item = chosen_item(inspected(), "defect 1")
+    item = item_at(inspected(), "defect 1")
     assert (item.sign, item.title, item.shape) == ("D1", "Particle", "disc")
     assert ("Height from its surroundings", "+14.00", "0.40", "µm") in item.rows
     assert item.below.startswith("Die -1,0 · x ")
     assert "6 um high" in item.reason
-    assert "6 µm high" in numbers(item)
+    assert "6 µm high" in numbers_of(item)
 
 
 def test_what_is_too_small_to_be_sized_has_no_size():
     small = replace(INSPECTION.defects[0], size_resolved=False)
-    item = chosen_item(inspected(replace(INSPECTION, defects=(small,))), "defect 1")
+    item = item_at(inspected(replace(INSPECTION, defects=(small,))), "defect 1")
     assert [row[0] for row in item.rows] == ["Height from its surroundings"]
     assert "detected, size not resolved" in item.reason
 
@@ -84,7 +87,7 @@ def test_a_class_a_die_or_what_was_judged_can_be_listed_alone():
 def test_the_class_that_a_person_gave_counts():
     text = replace(INSPECTION.defects[0], judged_kind="residue")
     now = inspected(replace(INSPECTION, defects=(text, *INSPECTION.defects[1:])))
-    item = chosen_item(now, "defect 1")
+    item = item_at(now, "defect 1")
     assert item.title == "Residue"
     assert "proposed: particle" in item.below
     assert signs(now, kind="residue") == ["D2", "D1"]
@@ -93,10 +96,9 @@ def test_the_class_that_a_person_gave_counts():
 def test_one_goes_on_through_the_list_as_it_is_sorted_to_what_is_open():
     judged = replace(INSPECTION.defects[1], judgement="real")
     now = inspected(replace(INSPECTION, defects=(INSPECTION.defects[0], judged, *INSPECTION.defects[2:])))
-    assert neighbour(now, "defect 5", 1).key != "defect 2"
-    assert neighbour(now, neighbour(now, "defect 2", 1).key, -1).key == "defect 2"
-    by_height = DefectListing(sort="height")
-    assert neighbour(now, "defect 1", 1, "all", by_height).key == "defect 6"
+    assert neighbour(now, at("defect 5"), 1).key != "defect 2"
+    assert neighbour(now, at(neighbour(now, at("defect 2"), 1).key), -1).key == "defect 2"
+    assert neighbour(now, at("defect 1", sort="height"), 1).key == "defect 6"
 
 
 def test_thousands_are_shown_a_page_at_a_time_with_the_one_under_review():
@@ -139,17 +141,37 @@ def test_classes_differ_by_shape_as_well_as_by_colour_and_have_keys():
     assert 'aria-pressed="true"' in classes(INSPECTION.defects[0])
 
 
-def test_the_section_runs_through_the_defect_and_through_the_same_place_of_a_good_die():
-    defect = INSPECTION.defects[0]
-    cut = cut_through(defect, INSPECTION, 0.5)
-    (a, b), (c, _) = (line.points for line in cut.lines)
-    assert ((a.x_um + b.x_um) / 2, a.y_um) == pytest.approx((defect.center.x_um, defect.center.y_um))
-    assert b.x_um - a.x_um >= 2 * defect.major.value_um
-    assert cut.neighbour != defect.die
-    grid = INSPECTION.grid
-    assert (c.x_um - a.x_um) % grid.pitch_x_um == pytest.approx(0.0, abs=1e-6) or c.x_um != a.x_um
-    alone = replace(INSPECTION, dies=(), grid=None)
-    assert len(cut_through(defect, alone, 0.5).lines) == 1
+def test_a_filter_by_size_height_or_confidence_lists_what_lies_within():
+    assert signs(inspected(), least_size_um=60.0) == ["D5", "D2"]
+    assert signs(inspected(), most_size_um=18.0) == ["D4"]
+    assert signs(inspected(), most_height_um=-7.0) == ["D6", "D3"]
+    assert signs(inspected(), least_height_um=8.0, kind="particle", die="-1,0") == ["D1"]
+    unsure = replace(INSPECTION.defects[0], confidence=0.5)
+    now = inspected(replace(INSPECTION, defects=(unsure, *INSPECTION.defects[1:])))
+    assert "D1" not in signs(now, least_confidence=0.6)
+    text = alone(DefectListing(least_size_um=60.0, die="0,0"), INSPECTION)
+    assert "Die 0,0 (1 defect) · size ≥, µm 60 alone" in text
+    assert alone(DefectListing(sort="die"), INSPECTION) == ""
+
+
+def test_alike_are_the_selected_ones_else_open_ones_of_the_class_that_are_listed():
+    now = inspected()
+    assert alike(now, at("defect 1")) == (1, 4)
+    assert alike(now, at("defect 1", die="-1,0")) == (1,)
+    assert alike(now, dataclasses.replace(at("defect 1"), marked=(3, 6, 99))) == (3, 6)
+    judged = replace(INSPECTION.defects[3], judgement="real")
+    assert alike(inspected(replace(INSPECTION, defects=(*INSPECTION.defects[:3], judged))), at("defect 1")) == (1,)
+    assert alike(now, at("result 1")) == ()
+
+
+def test_what_a_change_was_of_is_found_again():
+    before, judged = inspected(), replace(INSPECTION.defects[2], judgement="real")
+    after = inspected(replace(INSPECTION, defects=(*INSPECTION.defects[:2], judged, *INSPECTION.defects[3:])))
+    assert first_changed(before, after) == first_changed(after, before) == "defect 3"
+    classed = replace(INSPECTION.defects[2], judged_kind="residue")
+    after = inspected(replace(INSPECTION, defects=(*INSPECTION.defects[:2], classed, *INSPECTION.defects[3:])))
+    assert first_changed(before, after) == "defect 3"
+    assert first_changed(before, inspected()) is None
 
 
 def test_a_review_is_possible_with_a_surface_and_ends_when_every_defect_is_judged():

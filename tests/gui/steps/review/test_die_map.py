@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import re
 from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import pytest
 
@@ -13,9 +12,22 @@ from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
 from tests.browser.sessions.inspected_states import wafer_of
 from wafer_viewer.draw.charts.die_map import die_frame
-from wafer_viewer.gui.defects.die_views import DefectMap, die_at
-from wafer_viewer.gui.presenters.defects import MOST_SIGNS, chart_of, counts_of, fills_by_class, map_html, pareto_html
+from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.state.view_state import DefectListing, View, next_die, next_kind
+from wafer_viewer.gui.steps.review import die_map as drawn_map
+from wafer_viewer.gui.steps.review.defect_list import chart, pareto_html
+from wafer_viewer.gui.steps.review.die_map import (
+    MAP_PICKS,
+    MOST_SIGNS,
+    counts_of,
+    die_at,
+    die_map,
+    fills_by_class,
+    has_die_map,
+    map_commands,
+    map_html,
+)
+from wafer_viewer.gui.steps.review.judging import Review
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
@@ -33,43 +45,36 @@ class Reviewer:
     """A page with the map alone: what is chosen, and what is gone to."""
 
     def __init__(self, inspection=INSPECTION) -> None:
-        self.gui, self.made = self, []
-        self.view, self.picks, self.gone_to, self.said = View(step="review"), {}, [], []
-        self.session = SimpleNamespace(snapshot=None)
+        self.view, self.gone_to, self.said = View(step="review"), [], []
+        self.session, self.answers = SimpleNamespace(snapshot=None), None
         self.inspect(inspection)
-        self.map = DefectMap(self)
-        self.map.on_chosen(self._go_to)
+        self.review = Review(self)
+        self.here = Here(self, (self.review, lambda: None), lambda: None)
 
     def inspect(self, inspection, **state) -> None:
         state = InspectionState(inspection, **state)
         self.session.snapshot = dataclasses.replace(fake.measured(), findings=(), inspection=state)
 
-    def add_folder(self, *_, **__):
-        return MagicMock(visible=False)
+    def entered(self) -> None:
+        pass
 
-    def add_html(self, content: str, order: float | None = None):
-        self.made.append(SimpleNamespace(content=content))
-        return self.made[-1]
-
-    def on_pick(self, what, then) -> None:
-        self.picks[what] = then
+    def pick(self, what: str, key: str) -> None:
+        MAP_PICKS[what](self.here, key)
 
     def change(self, **changes) -> None:
+        if "review" in changes:
+            self.gone_to.append(changes["review"])
         self.view = dataclasses.replace(self.view, **changes)
 
     def say(self, title, *_) -> None:
         self.said.append(title)
 
     def press(self, name: str) -> None:
-        next(command for command in self.map.commands() if command.name == name).act()
+        next(command for command in map_commands(self.review) if command.name == name).act()
 
     def show(self) -> str:
-        self.map.show(self.session.snapshot, self.view)
-        return self.made[-1].content
-
-    def _go_to(self, key: str) -> None:
-        self.gone_to.append(key)
-        self.change(review=key)
+        self.here.snapshot, self.here.view = self.session.snapshot, self.view
+        return str((die_map(self.here) or [None])[-1].content)
 
 
 def test_keys_go_from_die_to_die_by_rows_from_the_top_to_those_with_open_defects():
@@ -106,15 +111,15 @@ def test_a_key_lists_class_after_class_and_then_all():
 def test_a_click_on_a_die_lists_it_alone_and_a_second_click_all():
     page = Reviewer()
     x, y = (float(um) for um in GRID.to_stage(1, 0, 50.0, 50.0))
-    page.picks["defect-at"](f"{x},{y}")
+    page.pick("defect-at", f"{x},{y}")
     assert (page.view.defects.die, page.gone_to) == ("1,0", ["defect 2"])
     assert "wv-die-on" in page.show()
-    page.picks["defect-at"](f"{x},{y}")
+    page.pick("defect-at", f"{x},{y}")
     assert page.view.defects.die == ""
     assert "wv-die-on" not in page.show()
-    page.picks["defect-kind"]("pit")
+    page.pick("defect-kind", "pit")
     assert page.view.lists_some
-    page.picks["defect-all"]("")
+    page.pick("defect-all", "")
     assert not page.view.lists_some
 
 
@@ -129,15 +134,16 @@ def test_a_street_and_a_place_beside_the_dies_are_no_die():
 def test_the_defect_under_review_stays_where_it_is_listed_still():
     page = Reviewer()
     page.change(review="defect 4")
-    page.picks["defect-kind"]("particle")
+    page.gone_to.clear()
+    page.pick("defect-kind", "particle")
     assert page.gone_to == []
-    page.picks["defect-kind"]("pit")
+    page.pick("defect-kind", "pit")
     assert page.gone_to == ["defect 3"]
 
 
 def test_the_map_is_drawn_again_only_when_something_of_it_changed(monkeypatch):
     drawn = []
-    monkeypatch.setattr("wafer_viewer.gui.defects.die_views.map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
+    monkeypatch.setattr(drawn_map, "map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
     page = Reviewer()
     page.show()
     page.change(review="defect 3")
@@ -154,10 +160,11 @@ def test_the_map_is_drawn_again_only_when_something_of_it_changed(monkeypatch):
 
 def test_there_is_no_map_of_dies_elsewhere_or_without_dies():
     page = Reviewer()
-    assert page.map.show(page.session.snapshot, page.view)
-    assert not page.map.show(page.session.snapshot, View(step="surface"))
+    assert has_die_map(page.session.snapshot, page.view)
+    assert not has_die_map(page.session.snapshot, View(step="surface"))
     page.inspect(replace(INSPECTION, grid=None, dies=()))
-    assert not page.map.show(page.session.snapshot, page.view)
+    assert not has_die_map(page.session.snapshot, page.view)
+    assert die_map(Here(page, page.here.own, lambda: None)) is None
 
 
 def test_by_class_every_defect_has_its_sign_and_by_count_every_die_its_number():
@@ -192,7 +199,7 @@ def test_of_too_many_defects_each_die_has_the_colour_of_its_commonest_class():
 
 def test_an_area_without_heights_counts_as_no_defect_in_map_and_chart():
     assert counts_of(INSPECTION.defects)["-2,0"] == 0
-    rows = re.findall(r"</svg> ([A-Z][a-z ]+)</span>.*?<b>(\d+)</b><small>(.*?)</small>", chart())
+    rows = re.findall(r"</svg> ([A-Z][a-z ]+)</span>.*?<b>(\d+)</b><small>(.*?)</small>", pareto())
     assert rows[0] == ("Particle", "2", "29 %")
     assert rows[-2][2] == "100 %"
     assert rows[-1] == ("Unmeasured", "1", "")
@@ -200,7 +207,7 @@ def test_an_area_without_heights_counts_as_no_defect_in_map_and_chart():
 
 @pytest.mark.parametrize("kind", ["pit", "unmeasured"])
 def test_the_class_that_is_listed_alone_is_pressed(kind):
-    pressed = re.findall(r'aria-pressed="true" data-pick="defect-kind" data-k="([a-z ]+)"', chart(kind))
+    pressed = re.findall(r'aria-pressed="true" data-pick="defect-kind" data-k="([a-z ]+)"', pareto(kind))
     assert pressed == [kind]
 
 
@@ -212,11 +219,11 @@ def test_the_chart_goes_by_the_operators_word():
 
 def test_the_chart_is_of_what_is_listed_of_every_class():
     state = InspectionState(replace(INSPECTION, defects=judged(1, 3)))
-    real = chart_of(state, DefectListing(kind="pit"), "accepted")
+    real = chart(state, DefectListing(kind="pit"), "accepted")
     assert re.findall(r'data-k="([a-z ]+)"', real) == ["particle", "pit"]
-    assert chart_of(state, DefectListing(die="0,0"), "accepted") == ""
-    assert chart_of(state, DefectListing(sort="height"), "all") is chart_of(state, ALL, "all")
+    assert chart(state, DefectListing(die="0,0"), "accepted") == ""
+    assert chart(state, DefectListing(sort="height"), "all") is chart(state, ALL, "all")
 
 
-def chart(kind: str = "") -> str:
+def pareto(kind: str = "") -> str:
     return pareto_html(INSPECTION.defects, kind)

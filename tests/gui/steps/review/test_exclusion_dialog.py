@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tests.browser.sessions.inspected_session import PLANTED, found
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg
-from wafer_viewer.gui.defects.defect_dialogs import area_of_defect, area_table
-from wafer_viewer.gui.defects.inspection_form import advanced_settings_header, areas, exclusion_line_html
-from wafer_viewer.gui.presenters.inspection_form import DefectForm, form_of, recipe_of
+from wafer_viewer.gui.steps.review.defect_form import DefectForm, form_of, recipe_of
+from wafer_viewer.gui.steps.review.dialogs import area_of_defect, area_table
+from wafer_viewer.gui.steps.review.inspection_form import advanced_settings_header, areas, exclusion_line_html
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

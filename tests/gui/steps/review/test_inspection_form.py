@@ -13,18 +13,10 @@ import pytest
 from tests.browser.sessions.fake_defect_files import a_shelf
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found, inspected_session
 from tests.gui.steps.test_steps import flat
-from wafer_viewer.gui.defects.inspection_form import (
-    InspectionDraft,
-    advanced_settings_header,
-    expectation,
-    golden_table,
-    inspection_form,
-    recipe_origin_text,
-    unreadable,
-)
 from wafer_viewer.gui.elements.elements import Button, Html, Input
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.presenters.inspection_form import (
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.review.defect_form import (
     FORM,
     FOUND,
     GIVEN,
@@ -38,7 +30,15 @@ from wafer_viewer.gui.presenters.inspection_form import (
     text_of,
     verdict,
 )
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.steps.review.inspection_form import (
+    InspectionDraft,
+    advanced_settings_header,
+    expectation,
+    golden_table,
+    inspection_form,
+    recipe_origin_text,
+    unreadable,
+)
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.defect_classes import ClassRules

@@ -13,13 +13,16 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.charts.wafer_map import MapMark
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.elements.elements import Elements, Html, Text
+from wafer_viewer.gui.elements.form import form_dialog
+from wafer_viewer.gui.elements.step import Here
+from wafer_viewer.gui.page.dialogs import FIELDS, Dialog
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.results import Box
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import HtmlBlock, with_decimals
-from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
+from wafer_viewer.gui.widgets.number_field import PLACE, pair_of, pair_text
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
@@ -39,37 +42,14 @@ ROUND, LEAST_PX = 3.0, 120
 """Side of the area shown relative to the defect, and its minimum in pixels of the surface."""
 
 
-class OtherSection:
-    """Section shown while a KLARF file is overlaid."""
-
-    def __init__(self, page: Page, fly: Callable[[Box], object]) -> None:
-        self._page, self._fly = page, fly
-        self._shown_for: tuple[object, object] = None, None
-        self._cell = HtmlBlock(page.gui)
-        page.on_pick("defect-other", self._go_to)
-        page.on_pick("defect-other-away", lambda _: self._take_away())
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Bring the section up to date."""
-        other, defects = snapshot.defect_files.other, snapshot.inspection.defects
-        if (
-            self._shown_for[0] is not other or self._shown_for[1] is not defects
-        ):  # thousands of places take a tenth of a second
-            self._shown_for = other, defects
-            self._cell.show(overlay_html(other, defects) if other is not None else "")
-
-    def _go_to(self, other_number: str) -> None:
-        now = self._page.session.snapshot
-        other = now.defect_files.other
-        if other is None or now.surface is None:
-            return
-        pairs = zip(other.klarf.defects, other.places, strict=True)
-        place = next((place for defect, place in pairs if defect.number == int(other_number)), None)
-        if place is not None:
-            self._fly(_box_around(place.bounds_um, LEAST_PX * now.surface.pixel_um))
-
-    def _take_away(self) -> None:
-        self._page.ask("The overlay was not removed", self._page.session.defects.files.take_away())
+def place_of_other(snapshot: Snapshot, other_number: int) -> Box | None:
+    """Return the box to show around a defect of the other tool; None if there is none."""
+    other, surface = snapshot.defect_files.other, snapshot.surface
+    if other is None or surface is None:
+        return None
+    pairs = zip(other.klarf.defects, other.places, strict=True)
+    place = next((place for defect, place in pairs if defect.number == other_number), None)
+    return _box_around(place.bounds_um, LEAST_PX * surface.pixel_um) if place is not None else None
 
 
 def other_marks(other: OtherTool | None) -> list[MapMark]:
@@ -136,6 +116,27 @@ def _klarf_heading(text: str) -> Markup:
 # ------------------------------------------------------------------------------------------------------- defect dialogs
 
 
+@dataclass(frozen=True, slots=True)
+class _Named:
+    """Name and product that are typed."""
+
+    name: str
+    product: str = ""
+
+
+def _names(here: Here[_Named], *names: str) -> list[Text]:
+    return [
+        Text(
+            name.capitalize(),
+            getattr(here.own, name),
+            lambda text, n=name: here.keep(**{n: text}),
+            FIELDS[name.capitalize()],
+        )
+        for name in names
+    ]
+
+
+NOT_GOLDEN = "No golden die was kept"
 NEAR = "Places closer than this count as the same defect"
 WAIT_S = 20.0
 """Timeout for a session command, which is awaited so that the dialog can show its error."""
@@ -227,23 +228,19 @@ def golden_dialog(page: Page) -> None:
         f"The median of the dies of this wafer{f' of {product}' if product else ''}, with its spread from die to die. "
         "Under an existing name it becomes the next version; earlier versions are kept."
     )
-    dialog = Dialog(page, "Keep as golden die", below)
-    named = next((header.name for header in files.golden if product and header.product == product), product)
-    with dialog.modal:
-        name = page.gui.add_text("Name", named)
-        description = HtmlBlock(page.gui, _lab(_next_version(page, named)))
 
-    @name.on_update
-    def _(_: Any) -> None:
-        description.show(_lab(_next_version(page, name.value.strip())))
-
-    def keep() -> None:
-        if not name.value.strip():
+    def keep(own: _Named) -> None:
+        if not own.name.strip():
             raise DatasetError("The golden die has no name: type one, such as that of the product.")
-        done = page.session.defects.files.keep_golden(name.value.strip())
-        page.ask("No golden die was kept", done, lambda out: page.say("Golden die kept", str(out)))
+        done = page.session.defects.files.keep_golden(own.name.strip())
+        page.ask(NOT_GOLDEN, done, lambda out: page.say("Golden die kept", str(out)))
 
-    dialog.answers("Keep", viser.Icon.CHECK, keep, "No golden die was kept")
+    def fields(here: Here[_Named]) -> Elements:
+        return [*_names(here, "name"), Html(_lab(_next_version(page, here.own.name.strip())))]
+
+    named = next((header.name for header in files.golden if product and header.product == product), product)
+    answer = "Keep", viser.Icon.CHECK, keep
+    form_dialog(page, "Keep as golden die", below, _Named(named), answer, NOT_GOLDEN, fields)
 
 
 def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None:
@@ -266,15 +263,11 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 
     An existing recipe of that name is replaced only after confirmation.
     """
-    product = recipe.product or "its product"
-    below = f"Kept beside the datasets. It is applied automatically when a dataset of {product} opens."
-    dialog = Dialog(page, "Save the recipe", below)
-    with dialog.modal:
-        product = page.gui.add_text("Product", recipe.product)
-        name = page.gui.add_text("Name", recipe.name)
+    of = recipe.product or "its product"
+    below = f"Kept beside the datasets. It is applied automatically when a dataset of {of} opens."
 
-    def save() -> None:
-        named = replace(recipe, product=product.value.strip(), name=name.value.strip())
+    def save(own: _Named) -> None:
+        named = replace(recipe, product=own.product.strip(), name=own.name.strip())
         stored = page.session.snapshot.defect_files.recipes_of(named.product)
         if any(recipe.name == named.name and recipe != named for recipe in stored):
             _ask_to_replace(page, named, keep)
@@ -286,7 +279,8 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
         then(named)
         page.redraw()
 
-    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, "The recipe was not saved")
+    answer, own = ("Save", viser.Icon.DEVICE_FLOPPY, save), _Named(recipe.name, recipe.product)
+    form_dialog(page, "Save the recipe", below, own, answer, "It was not saved", lambda h: _names(h, "product", "name"))
 
 
 def recipes_dialog(page: Page) -> None:
@@ -336,15 +330,13 @@ def required_inspection(page: Page) -> Inspection:
 
 
 def _rename_dialog(page: Page, recipe: DefectRecipe) -> None:
-    dialog = Dialog(page, f"Rename recipe {recipe.name}", f"It stays a recipe of {recipe.product}.")
-    with dialog.modal:
-        name = page.gui.add_text("Name", recipe.name)
-
-    def rename() -> None:
-        _wait(page.session.defects.files.rename_recipe(recipe, name.value.strip()))
+    def rename(own: _Named) -> None:
+        _wait(page.session.defects.files.rename_recipe(recipe, own.name.strip()))
         page.redraw()
 
-    dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name was not changed")
+    title, below = f"Rename recipe {recipe.name}", f"It stays a recipe of {recipe.product}."
+    answer, named = ("Rename", viser.Icon.PENCIL, rename), _Named(recipe.name)
+    form_dialog(page, title, below, named, answer, "The name was not changed", lambda here: _names(here, "name"))
 
 
 def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
@@ -390,7 +382,7 @@ class Errand:
 
 ERRANDS: dict[str, Errand] = {
     "export": Errand("Export the defects…", "Export…", "Export failed", viser.Icon.DOWNLOAD, export_defects_dialog),
-    "golden": Errand("Keep as golden die…", "Golden die…", "No golden die was kept", viser.Icon.DIAMOND, golden_dialog),
+    "golden": Errand("Keep as golden die…", "Golden die…", NOT_GOLDEN, viser.Icon.DIAMOND, golden_dialog),
     "klarf": Errand(
         "Overlay a KLARF file…", "Overlay KLARF…", "The KLARF file was not overlaid", viser.Icon.STACK_2, klarf_dialog
     ),
@@ -408,46 +400,55 @@ BELOW = (
 )
 
 
-class ExcludedDialog:
-    """Dialog that lists the excluded areas, to be edited or removed, and takes two corners of a new one.
+@dataclass(frozen=True, slots=True)
+class _Excluded:
+    """Areas of the dialog, and the corners of a new one as they are typed."""
+
+    areas: Areas
+    start: str = ""
+    end: str = ""
+
+
+def excluded_dialog(page: Page, areas: Areas, keep: Callable[[Areas], None], proposed: Areas = ()) -> None:
+    """Open the dialog that lists the excluded areas, to be edited or removed, and takes two corners of a new one.
 
     proposed: further areas, such as that of the defect under review. Nothing changes before Keep is pressed.
     """
 
-    def __init__(self, page: Page, areas: Areas, keep: Callable[[Areas], None], proposed: Areas = ()) -> None:
-        self._areas = (*areas, *proposed)
-        dialog = Dialog(page, "Excluded areas", BELOW)
-        with dialog.modal:
-            self._table = HtmlBlock(page.gui, area_table(self._areas))
-            self._start = OptionalPair(page.gui, "From, µm", between=PLACE, hint=f"Lower left {CORNER}")
-            self._end = OptionalPair(page.gui, "To, µm", between=PLACE, hint=f"Upper right {CORNER}")
-        page.on_pick("defect-area-change", lambda key: self._change(int(key)))
-        page.on_pick("defect-area-away", lambda key: self._take_away(int(key)))
-        dialog.answers("Keep", viser.Icon.CHECK, lambda: keep((*self._areas, *self._typed())), STAYS)
+    def fields(here: Here[_Excluded]) -> Elements:
+        own = here.own
+        return [
+            Html(area_table(own.areas)),
+            Text("From, µm", own.start, lambda text: here.keep(start=text), f"Lower left {CORNER}"),
+            Text("To, µm", own.end, lambda text: here.keep(end=text), f"Upper right {CORNER}"),
+        ]
 
-    def _typed(self) -> Areas:
-        """Return the rectangle between the entered corners; empty if none are entered.
+    def without(k: int, **typed: str) -> None:
+        here.keep(areas=(*here.own.areas[:k], *here.own.areas[k + 1 :]), **typed)
 
-        Raises MeasureError if one corner is missing or the rectangle is empty.
-        """
-        start, end = self._start.value, self._end.value
-        if start is None and end is None:
-            return ()
-        if start is None or end is None:
-            raise MeasureError("One corner of the area is missing: type both, or leave both empty.")
-        if start[0] == end[0] or start[1] == end[1]:
-            raise MeasureError("The area is empty: type two opposite corners of a rectangle.")
-        return (Region.rectangle(*map(min, start, end), *map(max, start, end)),)
+    def change(k: int) -> None:
+        x0, y0, x1, y1 = here.own.areas[k].bounds_um
+        without(k, start=pair_text((x0, y0), PLACE), end=pair_text((x1, y1), PLACE))
 
-    def _change(self, k: int) -> None:
-        """Move the corners of an area into the input fields, to be edited."""
-        x0, y0, x1, y1 = self._areas[k].bounds_um
-        self._start.value, self._end.value = (x0, y0), (x1, y1)
-        self._take_away(k)
+    answer = "Keep", viser.Icon.CHECK, lambda own: keep((*own.areas, *_typed_area(own)))
+    here = form_dialog(page, "Excluded areas", BELOW, _Excluded((*areas, *proposed)), answer, STAYS, fields)
+    page.on_pick("defect-area-change", lambda key: change(int(key)))
+    page.on_pick("defect-area-away", lambda key: without(int(key)))
 
-    def _take_away(self, k: int) -> None:
-        self._areas = (*self._areas[:k], *self._areas[k + 1 :])
-        self._table.show(area_table(self._areas))
+
+def _typed_area(own: _Excluded) -> Areas:
+    """Return the rectangle between the typed corners; empty if none are typed.
+
+    Raises MeasureError if one corner is missing or the rectangle is empty.
+    """
+    start, end = pair_of(own.start, "From, µm"), pair_of(own.end, "To, µm")
+    if start is None and end is None:
+        return ()
+    if start is None or end is None:
+        raise MeasureError("One corner of the area is missing: type both, or leave both empty.")
+    if start[0] == end[0] or start[1] == end[1]:
+        raise MeasureError("The area is empty: type two opposite corners of a rectangle.")
+    return (Region.rectangle(*map(min, start, end), *map(max, start, end)),)
 
 
 def area_of_defect(defect: Defect | None) -> Areas:

@@ -8,20 +8,18 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.defects.defect_dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Dropdown, Elements, Html, Input, Stack
 from wafer_viewer.gui.elements.form import form as inputs_of
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.presenters.defects import per_mm2
-from wafer_viewer.gui.presenters.inspection_form import (
+from wafer_viewer.gui.steps.review.defect_form import (
     GIVEN,
     GOLDEN,
     DefectForm,
@@ -29,9 +27,11 @@ from wafer_viewer.gui.presenters.inspection_form import (
     dies_of,
     form_of,
     limits_of,
+    per_mm2,
     recipe_of,
     text_of,
 )
+from wafer_viewer.gui.steps.review.dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import COMMIT_S, tell_failure
 from wafer_viewer.model.errors import MeasureError
@@ -198,7 +198,10 @@ class InspectionDraft:
     shows_more: bool = False
 
 
-def inspection_form(here: Here[InspectionDraft]) -> Elements | None:
+D = TypeVar("D", bound=InspectionDraft)
+
+
+def inspection_form(here: Here[D]) -> Elements | None:
     """Return the form; it is shown until the surface has been inspected, and when it is unfolded."""
     snapshot, state = here.snapshot, here.snapshot.inspection
     _take_up(here)
@@ -233,7 +236,7 @@ def inspection_form(here: Here[InspectionDraft]) -> Elements | None:
     ]
 
 
-def inspect(here: Here[InspectionDraft]) -> None:
+def inspect(here: Here[D]) -> None:
     """Inspect the surface with the settings of the form."""
     form, page = here.own.form, here.page
     verb = page.session.defects.inspect(recipe_of(form, here.own.recipe), dies_of(form), against_of(form))
@@ -241,7 +244,7 @@ def inspect(here: Here[InspectionDraft]) -> None:
     page.redraw()
 
 
-def save(here: Here[InspectionDraft]) -> None:
+def save(here: Here[D]) -> None:
     """Open the dialog that saves the form as a recipe of its product."""
     recipe = recipe_of(here.own.form, here.own.recipe)
     save_recipe_dialog(here.page, recipe, partial(_fill_in, here))
@@ -257,15 +260,15 @@ def why_not(snapshot: Snapshot) -> str:
     return "Not yet: the surface still grows." if snapshot.scanning else ""
 
 
-def _put(here: Here[InspectionDraft], name: str, value: Any) -> None:
+def _put(here: Here[D], name: str, value: Any) -> None:
     here.put(f"form.{name}", value)
 
 
-def _inputs(here: Here[InspectionDraft], *names: str, **state: Any) -> list[Input]:
+def _inputs(here: Here[D], *names: str, **state: Any) -> list[Input]:
     return inputs_of(here.own.form, partial(_put, here), *names, **state)
 
 
-def _more(here: Here[InspectionDraft]) -> Elements:
+def _more(here: Here[D]) -> Elements:
     form = here.own.form
     given = form.dies == GIVEN and against_of(form) == "dies"
     limits = inputs_of(form, partial(_put_limit, here), "max_per_die", "max_per_mm2", pause_s=COMMIT_S)
@@ -278,7 +281,7 @@ def _more(here: Here[InspectionDraft]) -> Elements:
     ]
 
 
-def _put_limit(here: Here[InspectionDraft], name: str, text: str) -> Future[None] | None:
+def _put_limit(here: Here[D], name: str, text: str) -> Future[None] | None:
     """Apply the limits to the present inspection; the verdict follows without another search."""
     _put(here, name, text)
     limits, page = limits_of(here.own.form.max_per_die, here.own.form.max_per_mm2), here.page
@@ -296,18 +299,18 @@ def _tell_refusal(page: Page, done: Future[Any]) -> None:
         tell_failure(page, FAILED, fault)
 
 
-def _fill_in(here: Here[InspectionDraft], recipe: DefectRecipe) -> None:
+def _fill_in(here: Here[D], recipe: DefectRecipe) -> None:
     here.keep(recipe=recipe, form=form_of(recipe, None, here.own.form))
 
 
-def _choose_recipe(here: Here[InspectionDraft], name: str) -> None:
+def _choose_recipe(here: Here[D], name: str) -> None:
     product, files = here.own.form.product.strip(), here.page.session.snapshot.defect_files
     chosen = next((recipe for recipe in files.recipes_of(product) if recipe.name == name), None)
     if chosen is not None:
         _fill_in(here, chosen)
 
 
-def _ask_golden(here: Here[InspectionDraft], _: str) -> None:
+def _ask_golden(here: Here[D], _: str) -> None:
     """Choose a golden die from a file; its name includes the version only if a newer version exists."""
 
     def take(header: GoldenHeader) -> None:
@@ -318,7 +321,7 @@ def _ask_golden(here: Here[InspectionDraft], _: str) -> None:
     golden_file_dialog(here.page, take)
 
 
-PICKS: dict[str, Callable[[Here[InspectionDraft], str], Any]] = {
+PICKS: dict[str, Callable[[Here[Any], str], Any]] = {
     "defect-golden": lambda here, name: _put(here, "golden", name),
     "defect-golden-file": _ask_golden,
     "defect-more": lambda here, _: here.keep(shows_more=not here.own.shows_more),
@@ -326,7 +329,7 @@ PICKS: dict[str, Callable[[Here[InspectionDraft], str], Any]] = {
 """What clicks on links and rows of the form do."""
 
 
-def _take_up(here: Here[InspectionDraft]) -> None:
+def _take_up(here: Here[D]) -> None:
     """Fill the form in from the inspection, else from the recipe of the product, once per dataset and recipe."""
     snapshot, own = here.snapshot, here.own
     inspection, data = snapshot.inspection.inspection, snapshot.dataset
@@ -343,7 +346,7 @@ def _take_up(here: Here[InspectionDraft]) -> None:
     here.own = own
 
 
-def _described(here: Here[InspectionDraft]) -> tuple[str, str]:
+def _described(here: Here[D]) -> tuple[str, str]:
     """Return the origin of the settings, or why they make no recipe, and the name that they are kept as."""
     own, snapshot = here.own, here.snapshot
     files, inspected = snapshot.defect_files, snapshot.inspection.inspection is not None

@@ -1,1 +1,0 @@
-"""Sections, docks and dialogs of defect inspection."""
