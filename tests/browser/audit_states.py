@@ -322,9 +322,9 @@ GROUPS = {
         repeating_session,
         "review",
         (
-            State("list", keys("PageDown"), ".wv-review-picture"),
+            State("list", keys("PageDown"), ".wv-over-picture img"),
             State("form", click("[data-pick=defect-form]")),
-            State("beside", keys("z"), ".wv-over-picture img"),
+            State("gallery", keys("z"), ".wv-tile img"),
             State("stack", keys("Backspace"), ".wv-stack-list tr"),
             State("one place", lambda visit: visit.page.keyboard.press("Backspace"), ".wv-alone"),
             State("note", command("Note"), DIALOG),

@@ -30,8 +30,8 @@ Every window would load two pages of its own for its address bar, for almost hal
 The flag replaces Playwright's own: of the features that it switches off, those that a page could notice are named too.
 """
 REMEMBERED = "viser-user:wafer-viewer-view"
-DRAWN = ".wv-glass:has-text('not measured'):visible, .wv-over-picture img:visible, .wv-tile img:visible"
-"""What is in sight once a surface is drawn: its legend, or pictures that lie over it."""
+DRAWN = ".wv-glass:has-text('not measured'):visible, .wv-sheet-foot:visible"
+"""In sight once a surface is drawn: its legend, or what lies over it."""
 REST_S = 2.5
 """Pictures are taken when the scene has had time to come to rest."""
 

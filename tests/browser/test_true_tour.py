@@ -60,10 +60,10 @@ def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, 
     note(page).get_by_role("button", name="Press it for me").click()
     leads(page, 5, "Find the defects", "Inspect")
     press(page, "Inspect")
-    leads(page, 6, "Judge a defect", "Accept")
+    leads(page, 6, "Judge a defect", "Real defect")
     kinds = {defect.seen_as for defect in session.snapshot.inspection.inspection.found}
     assert kinds >= {"residue", "scratch", "particle"}
-    press(page, "Accept")
+    press(page, "Real defect")
     leads(page, 7, "Write the report", "Report")
     note(page).get_by_role("button", name="Press it for me").click()
     leads(page, 7, "Write the report", "Write report")

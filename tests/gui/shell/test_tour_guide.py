@@ -54,7 +54,7 @@ KEPT = fake.measured().findings
         (scanned(findings=KEPT), "review", 4, "Inspect"),
         (scanned(inspection=InspectionState(work="w1")), "review", 2, "Surface"),
         (scanned(findings=KEPT, inspection=InspectionState(work="w1")), "review", 4, ""),
-        (scanned(inspection=found()), "review", 5, "Accept"),
+        (scanned(inspection=found()), "review", 5, "Real defect"),
         (scanned(inspection=found("real")), "review", 6, "Report"),
         (scanned(inspection=InspectionState(inspection=inspection())), "report", 6, "Write report"),
     ],

@@ -107,8 +107,12 @@ class Review:
             self.judge(verdict)
             return
         what = DEFECT_CLASSES[kind].title.lower() if kind is not None else JUDGED[verdict]
-        said = f"{len(numbers)} judged: {what}", "The key of undo takes it back."
-        self._begin(page.session.defects.judge(numbers, JUDGEMENT_OF[verdict], kind), then=lambda _: page.say(*said))
+
+        def go_on(_: Any) -> None:
+            page.say(f"{len(numbers)} judged: {what}", "Ctrl + Z takes it back.")
+            self.step(1)
+
+        page.ask(NOT_JUDGED, page.session.defects.judge(numbers, JUDGEMENT_OF[verdict], kind), go_on)
         page.change(marked=())
 
     def reopen(self) -> None:
@@ -186,9 +190,9 @@ class Review:
             ],
         )
 
-    def _begin(self, judged: Future[Any], then: Callable[[Any], None] | None = None) -> None:
+    def _begin(self, judged: Future[Any]) -> None:
         """Follow a judgement and go on at once: keys may come faster than judgements are kept."""
-        self.page.ask(NOT_JUDGED, judged, then)
+        self.page.ask(NOT_JUDGED, judged)
         self.step(1)
 
     def _look_at(self, item: ReviewItem) -> None:

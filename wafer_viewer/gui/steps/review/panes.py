@@ -84,14 +84,15 @@ def panes_sheet(here: Here[Any], room: SheetRoom) -> tuple[Markup, int]:
     """Return the pictures of the defect under review: place, reference and difference, with their scales."""
     answer, sizes = compared(here), Sizes.within(room)
     defect = chosen_defect(here.snapshot, here.view.review)
-    body, foot = Markup(), answer.problem or "Making the pictures …"
+    words = html.empty(html.with_micro_sign(answer.problem) or "Making the pictures …")
+    body, foot = Markup('<div class="wv-over-picture" style="grid-row:1/3">{}</div>').format(words), ""
     if defect is not None and answer.value is not None:
         panes = _Panes(defect, answer.value, here.view, sizes)
         body, foot = panes.drawn(), panes.foot()
     style = f"grid-template-columns:{sizes.large_px}px {sizes.small_px}px {BAR_PX}px;grid-auto-rows:{sizes.small_px}px"
     return (
         Markup('{}<div class="wv-beside" style="{}">{}</div><div class="wv-lab wv-sheet-foot">{}</div>').format(
-            _head(here), style, body, html.with_micro_sign(foot)
+            _head(here), style, body, foot
         ),
         sizes.sheet_px,
     )

@@ -17,7 +17,7 @@ from wafer_viewer.gui.steps.review.panes import panes_sheet
 
 @dataclass(frozen=True, slots=True)
 class SheetState:
-    """What the sheets need: the commands of the step, and the pictures of the gallery."""
+    """State of the sheets: the commands of the step, and the pictures of the gallery."""
 
     review: Review
     thumbnails: Thumbnails
