@@ -146,7 +146,7 @@ def numbers_of(item: ReviewItem) -> Markup:
     word = words.state(item.word) + " · " if item.word is not None else Markup()
     reason = word + html.with_micro_sign(item.reason)
     below = Markup('<div class="wv-sub" style="margin-top:6px">{}</div>').format(reason) if reason else Markup()
-    return (html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else Markup()) + below
+    return (html.table(["", "Value", "± U, 95 %", ""], rows, " nn") if rows else Markup()) + below
 
 
 def _picture(here: Here[Review], item: ReviewItem) -> Markup:
