@@ -1,11 +1,12 @@
 """How often the dies of a patterned wafer are found, how exactly, and whether what is no lattice is refused.
 
-    python tests/bench/bench_dies.py [--quick] [--wafers N] [--seed N] [--only WORD] [--optics N]
+    python tests/bench/bench_dies.py [--quick] [--wafers N] [--seed N] [--only WORD] [--optics N] [--products N]
 
 Made-up wafers thrown with dice, 600 x 720 pixels, some 50 dies: heights and picture with noise, bow of 10 um and 2 %
 unmeasured. Right is a lattice whose dies lie within half a pixel everywhere on the surface, or a refusal where there is
-none; wrong is any other lattice. --optics N: as many wafers of tests/truth as well, seen through the virtual
-optics, dies half a pixel off their places.
+none; wrong is any other lattice. --products N: as many wafers of tests/bench/product_wafers.py from the seed on, right
+where every whole die is found with its size. --optics N: as many wafers of tests/truth as well, seen through the
+virtual optics, dies half a pixel off their places.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from tests.bench.die_scenes import LATTICES, NO_LATTICES, Dice, Thrown
 from tests.bench.harness import read_options, show
+from tests.bench.product_wafers import judged, product
 from tests.support.patterned_surface import Wafer
 from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import MeasureError
@@ -28,6 +30,7 @@ from wafer_viewer.model.surface.height_map import HeightMap
 
 RIGHT_PX, SEEN_PX = 0.5, 1.5
 """How far dies may lie off at most; through the optics, where each lies 0.5 px (k = 1) off its lattice itself."""
+NUMBER = {"type": int, "default": 0}
 HEADER = "wafers | n | right | refused | wrong | pitch off, px | worst | corner off, px | worst | s each"
 
 
@@ -41,7 +44,7 @@ class Outcome:
 
 
 def main() -> None:
-    asked = read_options(__doc__, wafers=10, seed=1, only="", optics={"type": int, "default": 0})
+    asked = read_options(__doc__, wafers=10, seed=1, only="", optics=NUMBER, products=NUMBER)
     n, step = (1, 2) if asked.quick else (asked.wafers, 1)
     rows = [
         [name, *_row([_outcome(thrown, dice) for dice in _dice(asked.seed, name, n)], thrown in NO_LATTICES.values())]
@@ -49,9 +52,37 @@ def main() -> None:
         if asked.only in name
     ]
     show(f"Dies found, {n} wafers of each kind from seed {asked.seed}", HEADER, rows)
+    if asked.products:
+        begun = time.process_time()
+        words = [_product(asked.seed + k) for k in range(asked.products)]
+        rows = [
+            [kind, *_counted([word for one, word in words if one == kind])] for kind in sorted({k for k, _ in words})
+        ]
+        show(
+            "Dies of products found",
+            "array | n | right | refused | wrong",
+            [*rows, ["all", *_counted([w for _, w in words])]],
+        )
+        print(f"  {(time.process_time() - begun) / asked.products:.1f} s each, drawing included", flush=True)
     if asked.optics:
         seen = [_optics(asked.seed + k) for k in range(asked.optics)]
         show("Dies found through the virtual optics", HEADER, [["9 x 8 dies, 0.5 px off", *_row(seen, False, SEEN_PX)]])
+
+
+def _product(seed: int) -> tuple[str, str]:
+    """Return the kind of array of a seed, and what came of it."""
+    drawn = product(seed)
+    try:
+        right, why = judged(find_dies(drawn.surface), drawn)
+    except MeasureError:
+        return drawn.kind, "refused"
+    if not right:
+        print(f"  seed {seed}: {why}", flush=True)
+    return drawn.kind, "right" if right else "wrong"
+
+
+def _counted(words: list[str]) -> list[str]:
+    return [str(len(words)), *(str(words.count(word)) for word in ("right", "refused", "wrong"))]
 
 
 def _dice(seed: int, name: str, n: int) -> list[Dice]:

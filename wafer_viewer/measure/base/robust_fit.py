@@ -62,6 +62,12 @@ class LevelPlane:
         return self.z_um + self.slope_x * (x_um - self.x_um) + self.slope_y * (y_um - self.y_um)
 
 
+def exact_fit(design: Floats, values: Floats) -> Fit:
+    """Fit `values` [n] on `design` [n, p] by least squares without rejection, for hardly more values than unknowns."""
+    coefficients = least_squares(design, values)
+    return Fit(coefficients, values - design @ coefficients, np.ones(len(values), bool))
+
+
 def robust_fit(design: Floats, values: Floats) -> Fit:
     """Fit `values` [n] on `design` [n, p] by least squares with iterated rejection beyond 3 MAD deviations.
 

@@ -14,7 +14,7 @@ from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
 from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, dissimilar_cells, refined
-from wafer_viewer.measure.dies.periodicity import Periods, periods_of, vertex
+from wafer_viewer.measure.dies.periodicity import MEND, Periods, periods_of, vertex
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.quantity import Length
@@ -37,7 +37,17 @@ class StreetParameters:
     stands_out : float
         Smallest prominence of both street edges, in robust deviations of the edge profile.
     sure : float
-        Prominence from which the first layer (heights) takes precedence.
+        Prominence from which layers are alike.
+    interrupted : float
+        Largest fraction of lines that do not show an edge: other streets cross it there.
+    most_edges : int
+        Largest number of edges of which pairs are formed.
+    uneven : float
+        Range of the levels along a street, relative to its step, at which its pair of edges counts half.
+    even : float
+        Level from which a pair of edges need not be prominent.
+    ends : float
+        Quantile at both ends beyond which levels are outliers.
     most_differing_px : float, px
         Largest difference of begin and width, added, of the same street in two layers.
     on_top : float
@@ -58,6 +68,11 @@ class StreetParameters:
     narrowest_px: int = 2
     stands_out: float = 6.0
     sure: float = 18.0
+    interrupted: float = 0.3
+    most_edges: int = 24
+    uneven: float = 0.5
+    even: float = 0.5
+    ends: float = 0.03
     most_differing_px: float = 8
     on_top: float = 1e-3
     bands: int = 4
@@ -70,12 +85,16 @@ STREET = StreetParameters()
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """A street across a cell, px from its first line: begin, width, standard uncertainty of an edge, prominence."""
+    """A street across a cell, px from its first line: begin, width, standard uncertainty of an edge, prominence.
+
+    level: how level it is along its length, 0 to 1.
+    """
 
     begin: float
     width: float
     u_px: float
     clear: float
+    level: float
 
 
 def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
@@ -90,7 +109,7 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
     found = [street for plane in planes if (street := _street(plane)) is not None]
     if not found:
         return None
-    best = found[0] if found[0].clear >= STREET.sure else max(found, key=lambda street: street.clear)
+    best = max(found, key=lambda street: street.level * min(street.clear, STREET.sure))
     return dataclasses.replace(best, u_px=math.hypot(best.u_px, _differing(best, found)))
 
 
@@ -114,17 +133,26 @@ def _filled(plane: Float32s) -> Floats:
 
 
 def _street(plane: Floats) -> Street | None:
+    """Return the pair of opposite edges that is strong and has a level strip between, to its ends; None without one.
+
+    Between pads or lines the strip ends where a street crosses it; a street goes on.
+    """
     if len(plane) < STREET.bands or plane.shape[1] < STREET.least_cols:
         return None
     plane = _upright(plane)
     slope = edges_profile(plane)
     spread = MAD_TO_SIGMA * float(np.median(np.abs(slope - np.median(slope)))) or float(np.abs(slope).max()) / 1e3
-    best, begin, width = _strongest_pair(slope)
-    if not spread or best < STREET.stands_out * spread:
+    pairs = _strong_pairs(slope) if spread else []
+    if not pairs:
+        return None
+    levels = [_level(plane, begin, width) for _, begin, width in pairs]
+    best = max(range(len(pairs)), key=lambda k: pairs[k][0] * levels[k])
+    strength, begin, width = pairs[best]
+    if strength < STREET.stands_out * spread and levels[best] < STREET.even:
         return None
     edges = [_between(slope, begin), _between(slope, begin + width)]
     u_px = math.hypot(*(_scatter(plane, round(edge)) for edge in edges)) / math.sqrt(2)
-    return Street(edges[0], edges[1] - edges[0], u_px, best / spread)
+    return Street(edges[0], edges[1] - edges[0], u_px, strength / spread, levels[best])
 
 
 def _upright(plane: Floats) -> Floats:
@@ -134,23 +162,41 @@ def _upright(plane: Floats) -> Floats:
 
 
 def edges_profile(plane: Floats) -> Floats:
-    """Return the slope along the lines, as the median of all lines; incomplete edges do not count."""
+    """Return the slope along the lines that all but `STREET.interrupted` of them exceed; 0 where signs differ."""
     from scipy.ndimage import gaussian_filter1d
 
     smooth = np.asarray(gaussian_filter1d(plane, 1.0, axis=1, mode="wrap"))
-    return np.median((np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2, axis=0)
+    slopes = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2
+    low, high = np.quantile(slopes, [STREET.interrupted, 1 - STREET.interrupted], axis=0)
+    return np.asarray(np.clip(low, 0, None) + np.clip(high, None, 0), np.float64)
 
 
-def _strongest_pair(slope: Floats) -> tuple[float, int, int]:
-    """Return (strength of the weaker edge, begin, width) of the strongest pair of opposite edges."""
-    best = (0.0, 0, 0)
-    for width in range(STREET.narrowest_px, math.floor(STREET.widest * len(slope)) + 1):
-        after = np.roll(slope, -width)
-        both = np.minimum(np.abs(slope), np.abs(after)) + STREET.on_top * (np.abs(slope) + np.abs(after))
-        pair = np.where(slope * after < 0, both, 0.0)
-        begin = int(np.argmax(pair))
-        best = max(best, (float(pair[begin]), begin, width))
-    return best
+def _strong_pairs(slope: Floats) -> list[tuple[float, int, int]]:
+    """Return (strength of the weaker edge, begin, width) of the pairs of opposite edges, the strongest first."""
+    size = np.abs(slope)
+    edges = np.flatnonzero((size > 0) & (size >= np.roll(size, 1)) & (size > np.roll(size, -1)))
+    strongest = edges[np.argsort(-size[edges])][: STREET.most_edges]
+    most = math.floor(STREET.widest * len(slope))
+    pairs = [
+        (float(min(size[a], size[b]) + STREET.on_top * (size[a] + size[b])), int(a), int((b - a) % len(slope)))
+        for a in strongest
+        for b in strongest
+        if slope[a] * slope[b] < 0
+    ]
+    return sorted((pair for pair in pairs if STREET.narrowest_px <= pair[2] <= most), reverse=True)
+
+
+def _level(plane: Floats, begin: int, width: int) -> float:
+    """Return how level the strip between two edges is along the lines, 0 to 1, beside the step at the edges."""
+    n = plane.shape[1]
+    inset = 1 if width <= 4 else 2
+    strip = plane[:, np.arange(begin + inset, begin + max(width - inset, inset) + 1) % n].mean(axis=1)
+    beside = plane[:, [(begin - 2) % n, (begin + width + 2) % n]].mean(axis=1)
+    step = abs(float(np.median(beside - strip)))
+    lines = np.arange(len(strip)) - (len(strip) - 1) / 2
+    strip = strip - lines * float(lines @ strip) / float(lines @ lines)
+    low, high = np.quantile(strip, [STREET.ends, 1 - STREET.ends]).tolist()
+    return 1 / (1 + ((high - low) / (STREET.uneven * step)) ** 2) if step else 0.0
 
 
 def _between(slope: Floats, place: int) -> float:
@@ -173,6 +219,8 @@ def _near(slope: Floats, place: int, reach: int = 3) -> float:
     return _between(slope, place + top)
 
 
+MARGIN_PX = 6.0
+"""Margin of a cell beyond the pattern of a single row, px of the coarse surface."""
 SURE_DIES = 9
 """Number of dies accepted without streets; fewer may be any similar places."""
 ACROSS = 10
@@ -185,8 +233,8 @@ NO_STREET = "No street stands out along {}: a die is taken as large as its pitch
 def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     """Find the die lattice of a surface.
 
-    The pitches and the angle come from the overlap-normalised autocorrelation, and are refined by registering dies to
-    their median. The size and the corner of a die come from the streets of the median cell.
+    The pitches come from the lags at which all columns, or all rows, of the pattern are similar, and are refined by
+    registering dies to their median. The size and the corner of a die come from the streets of the median cell.
 
     Parameters
     ----------
@@ -207,11 +255,10 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     Raises
     ------
     DiesNotFound
-        If the surface shows no contrast; nothing repeats along an axis within half of the surface; fewer than two
-        complete dies lie on the surface; too few of the places that repeat look alike; fewer than nine similar places
-        have no streets; streets exist along one axis only, as in a single row of dies with pads; the pitch is ambiguous
-        with a fraction of it; or the dies are off square or turned by more than 5 degrees. Its `brief` gives the reason
-        in a few words.
+        If the surface shows no contrast; nothing repeats; fewer than two complete dies lie on the surface; too few of
+        the places that repeat look alike; fewer than nine similar places have no streets; a pitch is ambiguous, as where
+        pads or lines repeat and no streets part the dies; the edges of streets are not clear; or the dies are turned by
+        more than 5 degrees. Its `brief` gives the reason in a few words.
     MeasureError
         If no die of the lattice lies on the scanned surface, or the lattice has more than 100 000 places.
         `DiesNotFound` is a subclass.
@@ -220,6 +267,9 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
 
     Notes
     -----
+    A single row or column is found by the edges of its dies; along the axis that it has one die of, the pitch is the
+    length of the pattern with a margin.
+
     A die touches the surface if at least a tenth of its area lies on the scanned part; other places are in `left_out`.
 
     References
@@ -229,25 +279,43 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     """
     require_choice("evidence", evidence, Evidence, MeasureError)
     coarse = read_coarse(surface, evidence)
-    found = refined(surface, rough_grid(coarse, periods_of(coarse.layers)), evidence, coarse.pixel_um)
+    periods = periods_of(coarse.layers)
+    single = periods.pitch_x is None, periods.pitch_y is None
+    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, single)
     grid = with_streets(found)
-    _require_crossing_streets(grid)
+    _require_size(grid, periods)
+    if any(single):
+        return _one_row(grid, single)
     if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
         raise DiesNotFound(*dissimilar_cells(f"Only {found.n_dies}", found.lattice))
     return on_surface(grid, surface)
 
 
-def _require_crossing_streets(grid: DieGrid) -> None:
-    """Raise DiesNotFound where streets exist along one axis only: pads or bumps repeat across them."""
-    if (grid.street_x_um > 0) == (grid.street_y_um > 0):
-        return
-    along, across, pitch_um = ("x", "y", grid.pitch_y_um) if grid.street_x_um > 0 else ("y", "x", grid.pitch_x_um)
-    what = "row" if along == "x" else "column"
-    raise DiesNotFound(
-        f"Streets part the dies along {along} only, and what repeats every {pitch_um:.1f} um along {across} may be "
-        f"pads: scan at least two dies along {across}, or give pitch, origin and size of the dies instead.",
-        f"One {what} of dies found, 2 needed",
-    )
+def _require_size(grid: DieGrid, periods: Periods) -> None:
+    """Raise DiesNotFound where streets recur along an axis and their edges are not found."""
+    for axis, street_um, recurs in (
+        ("x", grid.street_x_um, periods.streets[0]),
+        ("y", grid.street_y_um, periods.streets[1]),
+    ):
+        if recurs and street_um == 0:
+            raise DiesNotFound(
+                f"The dies repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um, and the edges of the streets "
+                f"between them along {axis} are not clear: {MEND}.",
+                f"Dies found, and not their size along {axis}",
+            )
+
+
+def _one_row(grid: DieGrid, single: tuple[bool, bool]) -> DieGrid:
+    """Return the lattice of a single row or column. Raises DiesNotFound where the edges of its dies do not show."""
+    if grid.street_x_um == 0 or grid.street_y_um == 0:
+        what, axis = ("column", "x") if single[0] else ("row", "y")
+        raise DiesNotFound(
+            f"One {what} of dies repeats every {grid.pitch_y_um if single[0] else grid.pitch_x_um:.1f} um, and where "
+            f"its dies begin and end does not show along both axes: scan at least two dies along {axis}, or give "
+            "pitch, origin and size of the dies instead.",
+            f"One {what} of dies found, without the edges of its dies",
+        )
+    return grid
 
 
 def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:
@@ -262,19 +330,32 @@ def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -
 
 
 def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
-    """Return the lattice from the autocorrelation, about the centre of the surface; the die origin is undetermined."""
+    """Return the lattice of the periods with cells as large as the pitches; the origin of a die is undetermined.
+
+    Along an axis of a single row the cell covers the pattern and a margin.
+    """
     rows, cols = coarse.shape
-    pitch_x, pitch_y = periods.pitch_x * coarse.pixel_um, periods.pitch_y * coarse.pixel_um
+    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um)
+    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um)
+    c, s = math.cos(periods.angle_rad), math.sin(periods.angle_rad)
     return DieGrid(
-        pitch_x_um=pitch_x,
-        pitch_y_um=pitch_y,
-        width_um=pitch_x,
-        height_um=pitch_y,
-        x0_um=coarse.x0_um + cols / 2 * coarse.pixel_um,
-        y0_um=coarse.y0_um - rows / 2 * coarse.pixel_um,
+        pitch_x_um=along[1],
+        pitch_y_um=up[1],
+        width_um=along[1],
+        height_um=up[1],
+        x0_um=coarse.x0_um + (cols - 1) / 2 * coarse.pixel_um + c * along[0] - s * up[0],
+        y0_um=coarse.y0_um - (rows - 1) / 2 * coarse.pixel_um + s * along[0] + c * up[0],
         angle_rad=periods.angle_rad,
         by="found",
     )
+
+
+def _cell(pitch_px: float | None, extent_px: tuple[float, float], pixel_um: float) -> tuple[float, float]:
+    """Return the begin of a cell from the centre of the surface, and its length, um."""
+    if pitch_px is not None:
+        return 0.0, pitch_px * pixel_um
+    low, high = extent_px
+    return (low - MARGIN_PX) * pixel_um, (high - low + 2 * MARGIN_PX) * pixel_um
 
 
 def with_streets(found: Registered) -> DieGrid:

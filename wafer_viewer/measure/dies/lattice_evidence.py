@@ -20,7 +20,7 @@ from wafer_viewer.numerics.jit import Float32s
 Evidence = Literal["height", "picture", "both"]
 LEVEL_PIXELS = 1_000_000
 """Largest number of pixels of the pyramid level by which the scanned part of a surface is found."""
-COARSE_PIXELS = 400_000
+COARSE_PIXELS = 800_000
 """Largest number of pixels for the coarse read of a surface."""
 SOFT_PX = 1.0
 """Standard deviation of the blur of a die before it is sampled, px of its level."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.robust_fit import robust_fit
+from wafer_viewer.measure.base.robust_fit import exact_fit, robust_fit
 from wafer_viewer.measure.dies.lattice_evidence import CellLattice, Cells, Evidence, bounds_of, median_cell
 from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.die_grid import DieGrid
@@ -74,6 +74,9 @@ class LatticeRefinementParameters:
 
 
 REFINEMENT = LatticeRefinementParameters()
+SPARE_SHARE = 0.06
+"""Part of the pitch by which cells of a single row may extend beyond the surface: their margin is no part of a die."""
+Single = tuple[bool, bool]
 Cell = tuple[Float32s, ...]
 
 
@@ -87,21 +90,24 @@ class Registered:
     n_dies: int
 
 
-def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float) -> Registered:
+def refined(
+    surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float, single: Single = (False, False)
+) -> Registered:
     """Refine a lattice with cells as large as its pitches, from coarse to fine levels.
 
-    pixel_um: pixel size at which the rough lattice was found. Raises MeasureError where most cells are dissimilar.
+    pixel_um: pixel size at which the rough lattice was found. single: axes, x and y, along which there is one die only.
+    Raises MeasureError where most cells are dissimilar.
     """
     grid = rough
     *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
     unlike: set[tuple[int, int]] = set()
     for source in (*coarse, *[finest] * REFINEMENT.rounds):
         lattice = source.lattice(grid)
-        cells = cells_of(source, grid, lattice, unlike)
+        cells = cells_of(source, grid, lattice, unlike, single)
         shifts = registered_shifts(cells, lattice)
         grid, unlike = fit_lattice(grid, shifts), unlike | (cells.keys() - shifts.keys())
     lattice = finest.lattice(grid)
-    cells = cells_of(finest, grid, lattice, unlike)
+    cells = cells_of(finest, grid, lattice, unlike, single)
     shifts = registered_shifts(cells, lattice)
     if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um:
         raise DiesNotFound(*dissimilar_cells("Too few of the", lattice))
@@ -117,7 +123,11 @@ def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ..
 
 
 def cells_of(
-    source: Cells, grid: DieGrid, lattice: CellLattice, unlike: Set[tuple[int, int]] = frozenset()
+    source: Cells,
+    grid: DieGrid,
+    lattice: CellLattice,
+    unlike: Set[tuple[int, int]] = frozenset(),
+    single: Single = (False, False),
 ) -> dict[tuple[int, int], Cell]:
     """Return sufficiently measured cells over the entire surface, without those found dissimilar at coarser levels.
 
@@ -126,7 +136,7 @@ def cells_of(
     most = max(
         REFINEMENT.least_dies, min(REFINEMENT.most_dies, REFINEMENT.cells_pixels // (lattice.rows * lattice.cols))
     )
-    places = spread(_best_of(complete_cells(source.surface, grid), unlike, most), most)
+    places = spread(_best_of(complete_cells(source.surface, grid, single), unlike, most), most)
     read = {die: source.read(grid, die, lattice) for die in places}
     cells = {
         die: cell
@@ -136,7 +146,7 @@ def cells_of(
     if len(cells) < 2:
         found = f"{len(cells)} whole {'die' if len(cells) == 1 else 'dies'} found, 2 needed"
         raise DiesNotFound(
-            f"{found}; they seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um. Scan more dies, or "
+            f"{found}; they seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um: scan more dies, or "
             "give pitch, origin and size of the dies instead.",
             found,
         )
@@ -160,13 +170,15 @@ def _finite_fraction(layer: Float32s) -> float:
     return finite.size / layer.size if finite.size and np.ptp(finite) > 0 else 0.0
 
 
-def complete_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
-    """Return (col, row) of the cells that lie completely on the surface."""
+def complete_cells(surface: Mosaic, grid: DieGrid, single: Single = (False, False)) -> list[tuple[int, int]]:
+    """Return (col, row) of the cells that lie completely on the surface, of a single column or row those in it."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
+    spare_um = SPARE_SHARE * max(grid.pitch_x_um, grid.pitch_y_um) if any(single) else 0.0
+    low_x, low_y, high_x, high_y = low_x - spare_um, low_y - spare_um, high_x + spare_um, high_y + spare_um
     (cols, rows), (u, v) = cells_over(grid, (low_x, low_y, high_x, high_y)), half_cell(grid)
     x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
     inside = (x_um >= low_x) & (x_um <= high_x) & (y_um >= low_y) & (y_um <= high_y)
-    complete = inside.all(axis=1)
+    complete = inside.all(axis=1) & ~(single[0] & (cols != 0)) & ~(single[1] & (rows != 0))
     return list(zip(cols[complete].tolist(), rows[complete].tolist(), strict=True))
 
 
@@ -293,8 +305,12 @@ def fit_lattice(grid: DieGrid, shifts: Shifts) -> DieGrid:
             np.stack([zero, one, zero, j, i * grid.pitch_x_um], axis=1),
         ]
     )
-    fit = robust_fit(design, off.T.ravel())
-    du, dv, pitch_x, pitch_y, turn = fit.coefficients.tolist()
+    along = np.ptp(positions, axis=0) > 0
+    known = np.array([True, True, *along, along.any()])
+    fit = (robust_fit if len(positions) > 2 else exact_fit)(design[:, known], off.T.ravel())
+    coefficients = np.zeros(len(known))
+    coefficients[known] = fit.coefficients
+    du, dv, pitch_x, pitch_y, turn = coefficients.tolist()
     middle = grid.to_stage(center[0], center[1], du, dv)
     new = replace(
         grid,

@@ -1,378 +1,317 @@
-"""Lattice of a repeating pattern from the peaks of its autocorrelation. Pure."""
+"""Periods of a pattern along the axes of its dies, from the similarity of its columns and of its rows. Pure.
+
+The gradients of heights and image are compared, which removes tilt, film and brightness. After the rotation is removed,
+the columns at x and x + lag are correlated for every x and lag. At the pitch of dies all columns resemble each other;
+at the pitch of pads, lines or memory cells those at the streets do not. Rows follow in the same way, so that the pitch
+along one axis needs no repetition along the other.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.model.errors import DiesNotFound
-from wafer_viewer.numerics.cross_correlation import contrast
-from wafer_viewer.numerics.fourier import autocorrelation
-from wafer_viewer.numerics.jit import Float32s
+from wafer_viewer.numerics.jit import Bools, Float32s
 
 
 @dataclass(frozen=True, slots=True)
 class PeriodicityParameters:
-    """Limits of the search for a lattice in an autocorrelation.
+    """Limits of the search for the periods of a pattern.
 
     Parameters
     ----------
-    least_correlation : float
-        Smallest autocorrelation of a lag at which a pattern repeats.
-    equal_correlation : float
-        Fraction of the best autocorrelation above which a shorter lag is the period.
-    half_correlation : float
-        Fraction of the autocorrelation of the period from which a part of it makes the period ambiguous.
-    shortest_px : int, px
-        Shortest lag of a period.
-    stands_out : float
-        Smallest prominence of a lag over the surrounding lags, relative to its autocorrelation.
-    goes_on : float
-        Smallest prominence of far multiples relative to the first lag; patterns within a die do not reach it.
+    blur_px : float, px
+        Standard deviation of the blur before gradients are taken.
+    least_known : float
+        Smallest known fraction under the blur for a known pixel, and of a layer that is compared.
+    flat_percentile : float
+        Percentile of the absolute gradient that is due to noise.
+    edge_percentile : float
+        Percentile of the absolute gradient at which the contrast saturates.
+    edge_sigmas : float
+        Smallest such gradient, in standard deviations of the noise.
+    active : float
+        Smallest saturated gradient of an edge.
+    active_px : int, px
+        Distance from edges, relative to the shorter side, within which pixels are compared.
+    least_active_px : int, px
+        Smallest such distance.
+    searched_deg : float, deg
+        Largest rotation that is searched.
     limit_deg : float, deg
         Largest rotation of dies against the stage axes; beyond it rows and columns are confused.
-    searched_deg : float, deg
-        Half angle of the cone about an axis in which its period is searched.
-    wide_deg : float, deg
-        The same in the search for a lattice that is rotated too far.
-    sizes : tuple[float, ...]
-        Candidate high-pass scales, relative to the shorter side, used while the period is unknown.
-    off_square_rad : float, rad
-        Largest deviation of the two periods from a right angle, apart from two pixels on each.
-    smaller : float
-        Area ratio below which the smaller cell of a rotated lattice is taken.
-    smoothing_px : float, px
-        Standard deviation of the Gaussian that smooths an autocorrelation before its maxima are found.
-    top_px : int, px
-        Window in which a maximum is the largest.
-    near : float
-        Distance from the expected place of a maximum within which it is looked for, in periods.
-    part_tolerance : float
-        Largest deviation of a part of a period from a half or a third, relative to it.
-    most_nodes : int
-        Number of periods to either side beyond which the fit of the lattice is not extended.
-    together_deg : float, deg
-        Largest difference of the rotations of two axes that are rotated together.
+    projection_px : float, px
+        Standard deviation of the blur of a projection; it makes the sampling at all angles alike.
+    shortest_px : int, px
+        Shortest period.
+    longest : float
+        Longest period relative to the extent of the pattern.
+    segments : int
+        Segments of a column that are compared one by one; missing dies spoil some of them.
+    similar : float
+        Smallest correlation of similar segments.
+    majority : float
+        Fraction of a column's dissimilar segments from which the column is dissimilar.
+    energy : float
+        Smallest energy of a compared column relative to the columns rich in edges.
+    least_correlation : float
+        Smallest correlation at a lag that may be a period.
+    scatters : float
+        Smallest energy of a compared segment, in standard deviations of its products due to noise.
+    gap : float
+        Largest energy of the edges across a street, relative to the lower quartile of all columns.
+    calm : float
+        The same for the place where a street recurs.
+    end_px : int, px
+        Distance from the ends of the pattern within which there is no street between dies.
+    recurs : float
+        Smallest fraction of streets that recur at the period.
+    unbroken : float
+        Smallest unbroken run of similar columns relative to the extent, for a period of dies.
+    partly : float
+        The same where it exceeds that of all shorter lags clearly.
+    clearer : float
+        Ratio from which it does.
+    without_streets : float
+        The same where no streets recur.
+    longest_die : float
+        Largest ratio of the sides of the dies of a single row.
+    few : float
+        Largest period relative to the extent for a period by clearness alone.
+    doubtful : float
+        Unbroken run from which what repeats coarsely within a single row may be dies.
+    fine : float
+        Period relative to the extent above which it is coarse.
+    apart : float
+        Ratio of two lags below which only the better one may be the period.
+    better : float
+        Excess of the correlation at a multiple of a lag over that at the lag, from which the period is doubtful.
 
     Notes
     -----
     `tests/bench/bench_dies.py` counts the lattices found, missed and wrong with these values on made-up wafers.
     """
 
-    least_correlation: float = 0.15
-    equal_correlation: float = 0.85
-    half_correlation: float = 0.5
-    shortest_px: int = 5
-    stands_out: float = 0.2
-    goes_on: float = 0.3
+    blur_px: float = 1.0
+    least_known: float = 0.3
+    flat_percentile: float = 30
+    edge_percentile: float = 97
+    edge_sigmas: float = 3.0
+    active: float = 0.25
+    active_px: float = 0.04
+    least_active_px: int = 8
+    searched_deg: float = 15.0
     limit_deg: float = 5.0
-    searched_deg: float = 6.0
-    wide_deg: float = 40.0
-    sizes: tuple[float, ...] = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
-    off_square_rad: float = 0.02
-    smaller: float = 0.75
-    smoothing_px: float = 0.7
-    top_px: int = 5
-    near: float = 0.15
-    part_tolerance: float = 0.05
-    most_nodes: int = 32
-    together_deg: float = 2
+    projection_px: float = 2.0
+    shortest_px: int = 6
+    longest: float = 0.85
+    segments: int = 6
+    similar: float = 0.5
+    majority: float = 0.6
+    energy: float = 0.1
+    least_correlation: float = 0.3
+    scatters: float = 4.0
+    gap: float = 0.25
+    calm: float = 0.6
+    end_px: int = 6
+    recurs: float = 0.7
+    unbroken: float = 0.65
+    partly: float = 0.3
+    clearer: float = 3.0
+    without_streets: float = 0.96
+    longest_die: float = 4.0
+    few: float = 0.26
+    doubtful: float = 0.88
+    fine: float = 0.25
+    apart: float = 1.6
+    better: float = 0.12
 
 
 PERIODICITY = PeriodicityParameters()
 MEND = "give pitch, origin and size of the dies instead"
+FLAT_PERCENTILE_SIGMAS = 0.385
+"""The 30th percentile of the absolute value of a normal variable, in standard deviations."""
 
 
-@dataclass(frozen=True, slots=True)
-class Peak:
-    """A lag, in px to the right and upwards, and the autocorrelation there."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Gradients:
+    """Saturated gradients of one layer to the right and downwards, its known pixels, and the variance of noise."""
 
-    right: float
-    up: float
-    correlation: float
+    right: Float32s
+    down: Float32s
+    known: Bools
+    noise: float
 
     @property
-    def length(self) -> float:
-        """Length of the lag, px."""
-        return math.hypot(self.right, self.up)
+    def transposed(self) -> Gradients:
+        """The same with rows and columns exchanged."""
+        return Gradients(self.down.T, self.right.T, self.known.T, self.noise)
 
-
-def mean_autocorrelation(layers: Sequence[Float32s], size: int) -> Floats:
-    """Return the mean autocorrelation of the layers with contrast, for lags up to half of the sides.
-
-    Raises DiesNotFound where no layer has contrast.
-    """
-    found = [autocorrelation(detail) for layer in layers if (detail := _detail(layer, size)) is not None]
-    if not found:
-        raise DiesNotFound(f"The surface shows no contrast that dies could be found by: {MEND}.")
-    return np.mean(found, axis=0)
-
-
-def _detail(layer: Float32s, size: int) -> Floats | None:
-    finite = np.isfinite(layer)
-    if not finite.any() or float(np.ptp(layer[finite])) == 0:
-        return None
-    detail = contrast(layer, finite, size).astype(np.float64)
-    return np.where(finite, detail - detail[finite].mean(), np.nan)
-
-
-def peaks_of(correlation: Floats) -> list[Peak]:
-    """Return the local maxima of an autocorrelation, except the central one."""
-    from scipy.ndimage import gaussian_filter
-    from skimage.feature import peak_local_max
-
-    smooth = np.asarray(gaussian_filter(np.nan_to_num(correlation, nan=-1.0), PERIODICITY.smoothing_px))
-    around = np.ones((PERIODICITY.top_px, PERIODICITY.top_px), bool)
-    rows, cols = peak_local_max(
-        smooth, threshold_abs=PERIODICITY.least_correlation, exclude_border=False, footprint=around
-    ).T
-    middle_row, middle_col = (n // 2 for n in correlation.shape)
-    lags = zip((cols - middle_col).tolist(), (middle_row - rows).tolist(), smooth[rows, cols].tolist(), strict=True)
-    return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= PERIODICITY.shortest_px]
-
-
-def peaks_near_axis(correlation: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
-    """Return the peaks near the x axis, to the right, or near the y axis, upwards, that are prominent over the ridge.
-
-    A pattern that is continuous along an axis, such as a street, correlates at every lag along it. A peak therefore
-    counts by its excess over the median of all lags near the axis.
-    """
-    steep = math.tan(math.radians(half_deg))
-    ridge = _ridge(correlation.T[::-1, ::-1] if upright else correlation, steep)
-
-    def within(along: float, aside: float) -> bool:
-        return along >= PERIODICITY.shortest_px and abs(aside) <= steep * along + 1
-
-    near = [peak for peak in peaks if within(*((peak.up, peak.right) if upright else (peak.right, peak.up)))]
-    over = [Peak(peak.right, peak.up, peak.correlation - ridge) for peak in near]
-    return [
-        peak
-        for peak in over
-        if peak.correlation >= PERIODICITY.stands_out * max(PERIODICITY.least_correlation, peak.correlation + ridge)
-    ]
-
-
-def _ridge(correlation: Floats, steep: float) -> float:
-    """Return the median over lags of the largest autocorrelation within a cone about the axis; at least 0."""
-    row, col = (n // 2 for n in correlation.shape)
-    most = [
-        float(np.nanmax(correlation[max(0, row - aside) : row + aside + 1, col + along], initial=-1.0))
-        for along in range(PERIODICITY.shortest_px, col + 1)
-        for aside in [min(row, math.floor(steep * along + 1))]
-    ]
-    return max(0.0, float(np.median(most)) if most else 0.0)
-
-
-def shortest(peaks: Sequence[Peak]) -> Peak:
-    """Return the shortest lag with an autocorrelation close to the best."""
-    best = max(peak.correlation for peak in peaks)
-    return min(
-        (peak for peak in peaks if peak.correlation >= PERIODICITY.equal_correlation * best),
-        key=lambda peak: peak.length,
-    )
-
-
-def persistent_lags(correlation: Floats, peaks: Sequence[Peak]) -> list[Peak]:
-    """Return the lags that persist over the surface; patterns within a die, such as pads, end with the die."""
-    return [peak for peak in peaks if _persists(correlation, peak)]
-
-
-def _persists(correlation: Floats, peak: Peak) -> bool:
-    """Return whether far multiples keep enough of the first lag's prominence over lags half a period away.
-
-    On a round wafer the autocorrelation of peaks and valleys alike falls with the lag; prominence is independent of
-    that.
-    """
-    middle = np.array([n // 2 for n in correlation.shape])
-    step = np.array([-peak.up, peak.right])
-    most = math.floor(float(np.min((middle - 2) / np.maximum(1, np.abs(step))) - 0.5))
-    over = [_stands_out(correlation, middle + times * step, step / 2) for times in range(1, most + 1)]
-    return len(over) < 2 or float(np.median(over[len(over) // 2 :])) >= PERIODICITY.goes_on * over[0]
-
-
-def _stands_out(correlation: Floats, place: Floats, half: Floats) -> float:
-    near = max(1, round(PERIODICITY.near * 2 * float(np.hypot(*half))))
-    row, col = (max(0, round(float(k))) for k in place)
-    top = float(
-        np.nanmax(correlation[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1], initial=-1)
-    )
-    valleys = [correlation[tuple(np.rint(place + side * half).astype(int))] for side in (-1, 1)]
-    return top - float(np.mean(valleys))
-
-
-def ambiguous_fraction(periods: Sequence[Peak]) -> Peak | None:
-    """Return a half or a third of the period that may also be the period; None where unambiguous."""
-    period = shortest(periods)
-    near = (
-        peak
-        for peak in periods
-        if _is_part(peak, period) and peak.correlation >= PERIODICITY.half_correlation * period.correlation
-    )
-    return next(near, None)
-
-
-def _is_part(peak: Peak, period: Peak) -> bool:
-    times = period.length / peak.length
-    return round(times) in (2, 3) and abs(times - round(times)) < PERIODICITY.part_tolerance * times
-
-
-AXES = ((False, "x"), (True, "y"))
+    def every(self, step: int) -> Gradients:
+        """Return every n-th pixel along both axes."""
+        some = slice(None, None, step), slice(None, None, step)
+        return Gradients(self.right[some], self.down[some], self.known[some], self.noise)
 
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """Lattice of a pattern in px: two pitches, anticlockwise rotation, and autocorrelation."""
+    """Pitches along x and y in px, None where nothing repeats, and the rotation, anticlockwise.
 
-    pitch_x: float
-    pitch_y: float
+    right, up: (low, high) of the pattern along both axes, px from the centre of the surface. streets: along x and y,
+    whether strips recur that no edge crosses.
+    """
+
+    pitch_x: float | None
+    pitch_y: float | None
     angle_rad: float
-    correlation: float
-
-
-@dataclass(frozen=True, slots=True)
-class Askew:
-    """A lattice rotated too far: rotation, and area of its cell, px2."""
-
-    turn_deg: float
-    area: float
+    right: tuple[float, float]
+    up: tuple[float, float]
+    streets: tuple[bool, bool]
 
 
 def periods_of(layers: Sequence[Float32s]) -> Periods:
-    """Return the lattice of layers [row, col] that show one pattern, NaN where unknown.
+    """Return the periods of layers [row, col] that show one pattern, NaN where unknown.
 
-    Raises MeasureError where nothing repeats along an axis within half of its side, where the period is ambiguous with
-    a fraction of it, and where the lattice is rotated by more than `PERIODICITY.limit_deg`.
+    Raises DiesNotFound where there is no contrast, where nothing repeats along either axis, where a period is doubtful,
+    and where the pattern is rotated by more than `PERIODICITY.limit_deg`.
     """
-    shorter = min(layers[0].shape)
-    best = clearest(layers, [round(share * shorter) for share in PERIODICITY.sizes])
-    if best is None:
-        raise nothing_repeats(layers)
-    across, up = (unambiguous_period(periods, axis) for periods, axis in ((best.right, "x"), (best.up, "y")))
-    return _checked(fitted(best.correlation, across, up), _askew(best.correlation, best.peaks))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Periodicity:
-    """Periodicity after a high-pass at some scale in px.
-
-    An autocorrelation, its peaks, and those along x and y that persist over the surface.
-    """
-
-    correlation: Floats
-    peaks: list[Peak]
-    right: list[Peak]
-    up: list[Peak]
-
-    @property
-    def clear(self) -> tuple[bool, float]:
-        """Sort key: True if both periods are unambiguous, and the autocorrelation of the weaker one."""
-        plain = ambiguous_fraction(self.right) is None and ambiguous_fraction(self.up) is None
-        return plain, min(shortest(self.right).correlation, shortest(self.up).correlation)
-
-
-def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Periodicity | None:
-    """Return the periodicity for the best high-pass scale; None where nothing repeats at any.
-
-    Slow variations, as beyond the rim of a wafer or at missing dies, favour some multiples of a period; the high-pass
-    removes them.
-    """
-    each = (_repeats(layers, size) for size in sorted({max(3, size) for size in sizes}))
-    return max((one for one in each if one is not None), key=lambda one: one.clear, default=None)
-
-
-def _repeats(layers: Sequence[Float32s], size: int) -> Periodicity | None:
-    correlation = mean_autocorrelation(layers, size)
-    peaks = peaks_of(correlation)
-    right, up = (
-        persistent_lags(correlation, peaks_near_axis(correlation, peaks, upright, PERIODICITY.searched_deg))
-        for upright, _ in AXES
-    )
-    return Periodicity(correlation, peaks, right, up) if right and up else None
-
-
-def unambiguous_period(periods: Sequence[Peak], axis: str) -> Peak:
-    """Return the period along an axis. Raises MeasureError where a fraction of it correlates nearly as well."""
-    period, part = shortest(periods), ambiguous_fraction(periods)
-    if part is not None:
+    seen = _gradients_of(layers)
+    angle_deg = rotation_of(seen)
+    straight = _gradients_of([turned(layer, math.radians(angle_deg)) for layer in layers])
+    active = _active(straight)
+    across = similarity(straight, active)
+    down = similarity([one.transposed for one in straight], active.T)
+    pitch_x, pitch_y = period_of(across, "x"), period_of(down, "y")
+    if pitch_x is None and pitch_y is None:
         raise DiesNotFound(
-            f"The pitch along {axis} may be all or 1/{round(period.length / part.length)} of what repeats best, for "
-            f"neighbours are {100 * part.correlation / period.correlation:.0f} % as much alike: {MEND}.",
-            f"No dies found: their pitch along {axis} is ambiguous",
+            f"No dies are found, because nothing repeats along x or y: scan at least two dies, or {MEND}.",
+            "No dies found: nothing repeats along x or y",
         )
-    return period
+    if abs(angle_deg) > PERIODICITY.limit_deg:
+        raise turned_too_far(angle_deg)
+    up = -down.extent[1], -down.extent[0]
+    if pitch_x is None and pitch_y is not None:
+        _require_shape(pitch_y, across.extent, "x")
+    if pitch_y is None and pitch_x is not None:
+        _require_shape(pitch_x, up, "y")
+    streets = across.recurring is not None, down.recurring is not None
+    return Periods(pitch_x, pitch_y, math.radians(angle_deg), across.extent, up, streets)
 
 
-def fitted(correlation: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float]:
-    """Fit both periods [right, up] in px to all similar lags of their lattice; also return the autocorrelation."""
-    basis = np.array([[across.right, across.up], [up.right, up.up]])
-    reach = 1
-    while True:
-        nodes, places = _nodes_near(correlation, basis, reach)
-        if len(nodes) > 2:
-            basis = np.asarray(np.linalg.lstsq(nodes, places, rcond=None)[0], np.float64)
-        limits = [half / (2 * reach) for half in (correlation.shape[1] // 2, correlation.shape[0] // 2)]
-        if reach > PERIODICITY.most_nodes or all(abs(basis[k, k]) > limits[k] for k in (0, 1)):
-            return basis[0], basis[1], min(across.correlation, up.correlation)
-        reach *= 2
+# ------------------------------------------------------------------------------------------------------------ gradients
 
 
-def _nodes_near(correlation: Floats, basis: Floats, reach: int) -> tuple[Floats, Floats]:
-    """Return multiples (i, j) of the periods, and the subpixel lag of the local maximum near each."""
-    middle = np.array([n // 2 for n in correlation.shape])
-    near = max(2, round(PERIODICITY.near * float(np.abs(np.diag(basis)).min())))
-    nodes: list[tuple[int, int]] = []
-    places: list[tuple[float, float]] = []
-    for i in range(-reach, reach + 1):
-        for j in range(reach + 1):
-            right, up = np.array([i, j]) @ basis
-            row, col = round(middle[0] - up), round(middle[1] + right)
-            if (j > 0 or i > 0) and (top := top_near(correlation, row, col, near)) is not None:
-                nodes.append((i, j))
-                places.append((top[1] - middle[1], middle[0] - top[0]))
-    return np.array(nodes, float), np.array(places, float)
+def _gradients_of(layers: Sequence[Float32s]) -> list[Gradients]:
+    found = [one for layer in layers if (one := gradients(layer)) is not None]
+    if not found:
+        raise DiesNotFound(f"The surface shows no contrast that dies could be found by: {MEND}.")
+    return found
 
 
-def top_near(correlation: Floats, row: int, col: int, near: int) -> tuple[float, float] | None:
-    """Return (row, col) of the maximum near a place, to subpixels by parabolas; None at the border or if too low."""
-    low_row, low_col = row - near, col - near
-    part = correlation[max(0, low_row) : row + near + 1, max(0, low_col) : col + near + 1]
-    if low_row < 1 or low_col < 1 or row + near + 2 > correlation.shape[0] or col + near + 2 > correlation.shape[1]:
+def gradients(layer: Float32s) -> Gradients | None:
+    """Return the saturated gradients of a layer; None where hardly anything is known or nothing has contrast."""
+    soft = _blurred(layer)
+    right, down = np.full(soft.shape, np.nan, np.float32), np.full(soft.shape, np.nan, np.float32)
+    right[:, 1:-1], down[1:-1] = (soft[:, 2:] - soft[:, :-2]) / 2, (soft[2:] - soft[:-2]) / 2
+    known = np.isfinite(right) & np.isfinite(down)
+    if known.mean() < PERIODICITY.least_known / 6:
         return None
-    if np.isnan(part).any() or part.max() < PERIODICITY.least_correlation / 2:
+    size = np.abs(np.concatenate([right[known][::3], down[known][::3]]))
+    flat, edge = np.percentile(size, [PERIODICITY.flat_percentile, PERIODICITY.edge_percentile]).tolist()
+    sigma = flat / FLAT_PERCENTILE_SIGMAS
+    strong = max(edge, PERIODICITY.edge_sigmas * sigma)
+    if strong == 0:
         return None
-    r, c = (int(k) for k in np.unravel_index(int(np.argmax(part)), part.shape))
-    r, c = r + low_row, c + low_col
-    return r + vertex(*correlation[r - 1 : r + 2, c].tolist()), c + vertex(*correlation[r, c - 1 : c + 2].tolist())
+    return Gradients(_saturated(right, known, strong), _saturated(down, known, strong), known, (sigma / strong) ** 2)
 
 
-def vertex(before: float, middle: float, after: float) -> float:
-    """Return the vertex of a parabola through three values, relative to the middle one."""
-    bend = before - 2 * middle + after
-    return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
+def _blurred(layer: Float32s) -> Float32s:
+    from scipy.ndimage import gaussian_filter
+
+    known = np.isfinite(layer)
+    middle = np.float32(np.median(layer[known])) if known.any() else np.float32(0)
+    share: Any = gaussian_filter(known.astype(np.float32), PERIODICITY.blur_px)
+    total: Any = gaussian_filter(np.where(known, layer - middle, np.float32(0)), PERIODICITY.blur_px)
+    enough = share > PERIODICITY.least_known
+    return np.divide(total, share, out=np.full(layer.shape, np.nan, np.float32), where=enough)
 
 
-def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Periods:
-    """Return the periods. Raises MeasureError where the lattice is rotated too far or not square."""
-    across, up, correlation = found
-    if askew is not None and askew.area < PERIODICITY.smaller * abs(float(np.linalg.det([across, up]))):
-        raise turned_too_far(askew.turn_deg)
-    turn_x, turn_y = math.atan2(across[1], across[0]), math.atan2(-up[0], up[1])
-    if abs(turn_x - turn_y) > PERIODICITY.off_square_rad + 2 / math.hypot(*across) + 2 / math.hypot(*up):
-        if askew is not None:
-            raise turned_too_far(askew.turn_deg)
-        raise DiesNotFound(
-            f"What repeats along x and y is {math.degrees(abs(turn_x - turn_y)):.1f} degrees off square and dies are "
-            f"not: {MEND}."
-        )
-    lengths = float(np.hypot(*across)), float(np.hypot(*up))
-    angle = (turn_x * lengths[0] + turn_y * lengths[1]) / sum(lengths)
-    if abs(math.degrees(angle)) > PERIODICITY.limit_deg:
-        raise turned_too_far(math.degrees(angle))
-    return Periods(*lengths, angle, correlation)
+def _saturated(gradient: Float32s, known: Bools, strong: float) -> Float32s:
+    relative = np.where(known, gradient, np.float32(0)) / np.float32(strong)
+    return (relative / np.sqrt(1 + relative**2)).astype(np.float32)
+
+
+def _active(seen: Sequence[Gradients]) -> Bools:
+    """Return the pixels near edges: beyond a rim and on missing dies there is nothing to compare."""
+    from scipy.ndimage import maximum_filter, uniform_filter
+
+    edges = np.zeros(seen[0].right.shape, bool)
+    for one in seen:
+        noise = 16 * one.noise
+        edges |= np.hypot(one.right, one.down) > max(PERIODICITY.active, math.sqrt(noise / (1 + noise)))
+    dense = np.asarray(uniform_filter(edges.astype(np.float32), 5)) > 0.25
+    reach = max(PERIODICITY.least_active_px, round(PERIODICITY.active_px * min(dense.shape)))
+    return np.asarray(maximum_filter(dense, 2 * reach + 1), bool)
+
+
+# ------------------------------------------------------------------------------------------------------------- rotation
+
+
+def rotation_of(seen: Sequence[Gradients]) -> float:
+    """Return the rotation in degrees at which edges along both axes project to the sharpest lines."""
+    angle = max(np.arange(-PERIODICITY.searched_deg, PERIODICITY.searched_deg + 0.1, 0.5), key=_sharpness(seen, 4))
+    for step, every in ((0.2, 2), (0.05, 2), (0.02, 1)):
+        angles = angle + step * np.arange(-3, 4)
+        sharp = list(map(_sharpness(seen, every), angles))
+        top = int(np.argmax(sharp))
+        angle = float(angles[top])
+        if 0 < top < len(angles) - 1:
+            angle += step * vertex(*sharp[top - 1 : top + 2])
+    return float(angle)
+
+
+def _sharpness(seen: Sequence[Gradients], every: int) -> Any:
+    some = [one.every(every) for one in seen]
+    planes = [(one.right, 1.0) for one in some] + [(one.down.T, -1.0) for one in some]
+    blur_px = PERIODICITY.projection_px / math.sqrt(every)
+
+    def sharpness(angle_deg: float) -> float:
+        slope = math.tan(math.radians(angle_deg))
+        return sum(_projected(plane, sign * slope, blur_px) for plane, sign in planes)
+
+    return sharpness
+
+
+def _projected(plane: Float32s, slope: float, blur_px: float) -> float:
+    """Return the mean square of the projection of a plane along lines inclined to its columns."""
+    from scipy.ndimage import gaussian_filter1d
+
+    rows, cols = plane.shape
+    at = np.arange(cols)[None, :] - ((np.arange(rows) - rows / 2) * slope)[:, None] + rows
+    low = np.floor(at).astype(np.int32)
+    part, index, values, n = (at - low).ravel(), low.ravel(), plane.ravel(), cols + 2 * rows + 2
+    total = np.bincount(index, values * (1 - part), n) + np.bincount(index + 1, values * part, n)
+    lines = np.maximum(np.bincount(index, minlength=n), rows / 8)
+    return float(np.sum(np.asarray(gaussian_filter1d(total, blur_px)) ** 2 / lines))
+
+
+def turned(layer: Float32s, angle_rad: float) -> Float32s:
+    """Return a layer in the axes of dies that are rotated anticlockwise, about its centre; NaN beyond its border."""
+    from scipy.ndimage import map_coordinates
+
+    (rows, cols), c, s = layer.shape, math.cos(angle_rad), math.sin(angle_rad)
+    height, width = math.ceil(rows * c + cols * abs(s)), math.ceil(cols * c + rows * abs(s))
+    down, right = np.meshgrid(np.arange(height) - (height - 1) / 2, np.arange(width) - (width - 1) / 2, indexing="ij")
+    places = [(rows - 1) / 2 - s * right + c * down, (cols - 1) / 2 + c * right + s * down]
+    values: Any = map_coordinates(layer, places, order=1, mode="constant", cval=np.nan)
+    return np.asarray(values, np.float32)
 
 
 def turned_too_far(angle_deg: float) -> DiesNotFound:
@@ -384,30 +323,241 @@ def turned_too_far(angle_deg: float) -> DiesNotFound:
     )
 
 
-def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
-    """Return the error for a missing lattice: along which axis, or that it is rotated too far."""
-    correlation = mean_autocorrelation(layers, max(3, min(layers[0].shape) // 6))
-    peaks = peaks_of(correlation)
-    right, up = (
-        persistent_lags(correlation, peaks_near_axis(correlation, peaks, upright, PERIODICITY.searched_deg))
-        for upright, _ in AXES
-    )
-    if (askew := _askew(correlation, peaks)) is not None:
-        return turned_too_far(askew.turn_deg)
-    axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
-    return DiesNotFound(
-        f"No dies are found, because nothing repeats along {axes} within half of the surface, and at least two dies "
-        f"are needed along each axis: scan more dies, or {MEND}.",
-        f"No dies found: nothing repeats along {axes}",
-    )
+# ----------------------------------------------------------------------------------------------------------- similarity
 
 
-def _askew(correlation: Floats, peaks: Sequence[Peak]) -> Askew | None:
-    """Return the lattice of the shortest lags if both axes are rotated together beyond the limit; None otherwise."""
-    wide = [peaks_near_axis(correlation, peaks, upright, PERIODICITY.wide_deg) for upright in (False, True)]
-    if not all(wide):
+@dataclass(frozen=True, slots=True, eq=False)
+class Similarity:
+    """Similarity of columns by lag in px, within the extent of the pattern, px from the centre.
+
+    unbroken: longest run of similar columns, relative to the extent; correlation: of all columns together.
+    recurring: fraction of the columns without edges across them, as in a street, that recur one lag further; None where
+    the extent has no such column.
+    """
+
+    extent: tuple[float, float]
+    unbroken: Floats
+    correlation: Floats
+    recurring: Floats | None
+
+
+def similarity(seen: Sequence[Gradients], active: Bools) -> Similarity:
+    """Return the similarity of the columns of a pattern whose rotation is removed."""
+    from scipy.ndimage import uniform_filter1d
+
+    parts = list(_segments(seen, active))
+    n = active.shape[1]
+    energies = [part.energy for part in parts]
+    energy = np.asarray(uniform_filter1d(np.diag(np.sum(energies, axis=0)), 3))
+    on = np.flatnonzero(energy > PERIODICITY.energy * float(np.percentile(energy, 90)))
+    first, last = (int(on[0]), int(on[-1])) if on.size else (0, 0)
+    floors = [max(PERIODICITY.energy * float(np.percentile(np.diag(p.energy), 90)), p.scatter) for p in parts]
+    crossings = _crossings(seen, active, first, last)
+    street = _streets(crossings)
+    rich = float(np.percentile(energy, 90))
+    scatter = sum(part.scatter for part in parts) / 2
+    unbroken, correlation, recurring = np.zeros(n), np.zeros(n), np.zeros(n)
+    for lag in range(PERIODICITY.shortest_px, math.floor(PERIODICITY.longest * (last - first))):
+        alike = np.array([_diagonal(part.product, lag, first, last) for part in parts])
+        total = np.array([_diagonal(part.energy, lag, first, last) for part in parts])
+        rich_enough = total.sum(axis=0) > PERIODICITY.energy * rich
+        unbroken[lag] = _longest_run(_dissimilar(alike, total, floors) & rich_enough)
+        correlation[lag] = _positive(alike) / max(_positive(total), scatter * total.shape[1], 1e-9)
+        recurring[lag] = _recurring(street, crossings, lag)
+    middle = (n - 1) / 2
+    ends = first - 0.5 - middle, last + 0.5 - middle
+    return Similarity(ends, unbroken, correlation, recurring if street.any() else None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """Products and energies, [col, col] each, of all pairs of columns, over some rows, and the scatter due to noise.
+
+    An energy is the mean of both columns where both are known, less the noise.
+    """
+
+    product: Floats
+    energy: Floats
+    scatter: float
+
+
+def _segments(seen: Sequence[Gradients], active: Bools) -> Iterator[Segment]:
+    for rows in np.array_split(np.arange(active.shape[0]), PERIODICITY.segments):
+        part = slice(int(rows[0]), int(rows[-1]) + 1)
+        known = np.concatenate([(one.known & active)[part] for one in seen for _ in range(2)]).astype(np.float32)
+        values = np.concatenate([plane[part] for one in seen for plane in (one.right, one.down)]) * known
+        noise = np.repeat([one.noise for one in seen], 2 * rows.size).astype(np.float32)[:, None]
+        energy = ((values * values - noise) * known).T @ known
+        scatter = PERIODICITY.scatters * math.sqrt(2 * rows.size * sum(one.noise**2 for one in seen))
+        yield Segment(np.asarray(values.T @ values), np.asarray((energy + energy.T) / 2), scatter)
+
+
+def _crossings(seen: Sequence[Gradients], active: Bools, first: int, last: int) -> Floats:
+    """Return the energy of the edges across each column within the extent, relative to the lower quartile."""
+    total = sum((np.where(one.known & active, one.down**2 - one.noise, 0).sum(axis=0) for one in seen), np.zeros(1))
+    inside = np.asarray(total[first : last + 1], np.float64)
+    return inside / max(float(np.percentile(inside, 25)), 1e-9)
+
+
+def _streets(crossings: Floats) -> Bools:
+    """Return the columns that no edge crosses, as in a street, without those at the ends of the extent."""
+    from skimage.measure import label
+
+    low = crossings < PERIODICITY.gap
+    bands: Any = label(low)
+    ends = {int(band) for band in (*bands[: PERIODICITY.end_px], *bands[-PERIODICITY.end_px :])}
+    return low & ~np.isin(bands, list(ends))
+
+
+def _widest(street: Bools) -> int:
+    """Return the length of the longest run of True."""
+    ends = np.flatnonzero(np.concatenate([[True], ~street, [True]]))
+    return int((np.diff(ends) - 1).max())
+
+
+def _recurring(street: Bools, crossings: Floats, lag: int) -> float:
+    """Return the fraction of streets with another place that hardly any edge crosses at a lag, to a pixel."""
+    from scipy.ndimage import minimum_filter1d
+
+    calm = np.asarray(minimum_filter1d(crossings, 3)) < PERIODICITY.calm
+    before, after = street[:-lag], street[lag:]
+    n = int(before.sum() + after.sum())
+    if lag <= 2 * _widest(street):
+        return 0.0
+    return float((before & calm[lag:]).sum() + (after & calm[:-lag]).sum()) / n if n else 0.0
+
+
+def _diagonal(plane: Floats, lag: int, first: int, last: int) -> Floats:
+    from scipy.ndimage import uniform_filter1d
+
+    return np.asarray(uniform_filter1d(np.diag(plane, lag), 3), np.float64)[first : last - lag + 1]
+
+
+def _dissimilar(alike: Floats, total: Floats, floors: Sequence[float]) -> Bools:
+    """Return which columns differ as a whole, and in most of their segments, from those one lag further."""
+    judged = total > np.array(floors)[:, None]
+    other = judged & (alike < PERIODICITY.similar * total)
+    n_judged, n_other = judged.sum(axis=0), other.sum(axis=0)
+    most = (n_other > 0) & (n_other >= PERIODICITY.majority * n_judged)
+    return most & (alike.sum(axis=0) < PERIODICITY.similar * total.sum(axis=0))
+
+
+def _positive(by_segment: Floats) -> float:
+    return float(np.clip(by_segment.sum(axis=0), 0, None).sum())
+
+
+def _longest_run(broken: Bools) -> float:
+    """Return the longest run of False relative to the length."""
+    ends = np.flatnonzero(np.concatenate([[True], broken, [True]]))
+    return float((np.diff(ends) - 1).max()) / len(broken)
+
+
+def period_of(found: Similarity, axis: str) -> float | None:
+    """Return the period in px, the shortest lag at which all columns are similar; None where there is none.
+
+    Raises DiesNotFound where it is doubtful.
+    """
+    maxima = _maxima(found)
+    lags = _clear(found, maxima)
+    if not lags:
+        lags = _by_streets(found, maxima) if found.recurring is not None else _without_streets(found, maxima)
+    if not lags and _single(found, maxima):
         return None
-    across, up = map(shortest, wide)
-    turn_x, turn_y = (math.degrees(math.atan2(*lag)) for lag in ((across.up, across.right), (-up.right, up.up)))
-    far = abs(turn_x - turn_y) < PERIODICITY.together_deg and abs(turn_x) > PERIODICITY.limit_deg
-    return Askew(turn_x, across.length * up.length) if far else None
+    if not lags:
+        raise _doubtful(axis)
+    near = [lag for lag in lags if lag < PERIODICITY.apart * min(lags)]
+    lag = max(near, key=lambda one: _whole(found, one) + _top(found, one))
+    streets = found.recurring is not None
+    better = max(
+        (_top(found, one) - _top(found, lag) for one in lags if not streets or _multiple(one, lag)), default=0.0
+    )
+    if better > (PERIODICITY.better if streets else PERIODICITY.better / 3):
+        raise _doubtful(axis)
+    return lag + vertex(*found.correlation[lag - 1 : lag + 2].tolist())
+
+
+def _multiple(longer: int, lag: int) -> bool:
+    return any(abs(longer - times * lag) <= times for times in (2, 3))
+
+
+def _clear(found: Similarity, maxima: Sequence[int]) -> list[int]:
+    """Return the lags from the first one on at which the columns are similar and at shorter ones they are not."""
+    limit, most = PERIODICITY, PERIODICITY.few * (found.extent[1] - found.extent[0])
+    if found.recurring is None:
+        limit = dataclasses.replace(limit, unbroken=limit.without_streets)
+    for lag in (lag for lag in maxima if _whole(found, lag) >= limit.unbroken):
+        shorter = max((_whole(found, one) for one in maxima if one < lag - limit.shortest_px), default=1.0)
+        if _whole(found, lag) < limit.clearer * shorter or lag > most:
+            return []
+        return [one for one in maxima if one >= lag and _whole(found, one) >= limit.unbroken]
+    return []
+
+
+def _by_streets(found: Similarity, maxima: Sequence[int]) -> list[int]:
+    """Return the lags at which streets recur and the columns between them are similar."""
+    recurring = found.recurring if found.recurring is not None else np.zeros(1)
+    lags: list[int] = []
+    for lag in maxima:
+        unbroken = _whole(found, lag)
+        shorter = max((_whole(found, one) for one in maxima if one < lag - PERIODICITY.shortest_px), default=1.0)
+        clear = unbroken >= max(PERIODICITY.partly, PERIODICITY.clearer * shorter)
+        recurs = float(recurring[lag - 1 : lag + 2].max()) >= PERIODICITY.recurs
+        if recurs and (unbroken >= PERIODICITY.unbroken or (clear and not lags)):
+            lags.append(lag)
+    return lags
+
+
+def _without_streets(found: Similarity, maxima: Sequence[int]) -> list[int]:
+    """Return the lags at which all columns up to both ends are similar; pads and lines end before their die does."""
+    sure = [lag for lag in maxima if _whole(found, lag) >= PERIODICITY.without_streets]
+    if not sure or min(sure) < PERIODICITY.fine * (found.extent[1] - found.extent[0]):
+        return []
+    possible = [lag for lag in maxima if _whole(found, lag) >= PERIODICITY.unbroken]
+    return [] if min(possible) < min(sure) - PERIODICITY.shortest_px else sure
+
+
+def _single(found: Similarity, maxima: Sequence[int]) -> bool:
+    """Return whether the pattern is that of one die: what repeats in it is fine, and does not reach both ends."""
+    fine = PERIODICITY.fine * (found.extent[1] - found.extent[0])
+    if any(_whole(found, lag) >= PERIODICITY.without_streets for lag in maxima):
+        return False
+    most = PERIODICITY.doubtful if found.recurring is None else PERIODICITY.unbroken
+    return all(_whole(found, lag) < most for lag in maxima if lag > fine)
+
+
+def _require_shape(pitch_px: float, extent_px: tuple[float, float], axis: str) -> None:
+    """Raise DiesNotFound where the only die along an axis would be too long or too short for a die."""
+    length_px = extent_px[1] - extent_px[0]
+    if not 1 / PERIODICITY.longest_die < length_px / pitch_px < PERIODICITY.longest_die:
+        raise _doubtful(axis)
+
+
+def _doubtful(axis: str) -> DiesNotFound:
+    return DiesNotFound(
+        f"The pitch along {axis} is ambiguous, because what repeats may be dies or a pattern within a die: {MEND}.",
+        f"No dies found: their pitch along {axis} is ambiguous",
+    )
+
+
+def _maxima(found: Similarity) -> list[int]:
+    """Return the lags at local maxima of the correlation."""
+    values = found.correlation
+    inner = (values[1:-1] >= values[:-2]) & (values[1:-1] >= values[2:])
+    inner &= values[1:-1] > PERIODICITY.least_correlation
+    return (np.flatnonzero(inner) + 1).tolist()
+
+
+def _whole(found: Similarity, lag: int) -> float:
+    return float(found.unbroken[lag - 1 : lag + 2].max())
+
+
+def _top(found: Similarity, lag: int) -> float:
+    """Return the correlation at the vertex of a maximum."""
+    before, middle, after = found.correlation[lag - 1 : lag + 2].tolist()
+    return middle + (after - before) * vertex(before, middle, after) / 4
+
+
+def vertex(before: float, middle: float, after: float) -> float:
+    """Return the vertex of a parabola through three values, relative to the middle one."""
+    bend = before - 2 * middle + after
+    return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
