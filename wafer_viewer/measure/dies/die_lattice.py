@@ -46,6 +46,8 @@ class StreetParameters:
         Range of the levels along a street, relative to its step, at which its pair of edges counts half.
     even : float
         Level from which a pair of edges need not be prominent.
+    unclear : float
+        Level below which the size of dies is not clear.
     ends : float
         Quantile at both ends beyond which levels are outliers.
     most_differing_px : float, px
@@ -72,6 +74,7 @@ class StreetParameters:
     most_edges: int = 24
     uneven: float = 0.5
     even: float = 0.5
+    unclear: float = 0.3
     ends: float = 0.03
     most_differing_px: float = 8
     on_top: float = 1e-3
@@ -109,8 +112,10 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
     found = [street for plane in planes if (street := _street(plane)) is not None]
     if not found:
         return None
-    best = max(found, key=lambda street: street.level * min(street.clear, STREET.sure))
-    return dataclasses.replace(best, u_px=math.hypot(best.u_px, _differing(best, found)))
+    first = found[0]
+    if first.clear < STREET.sure or first.level < STREET.even:
+        first = max(found, key=lambda street: street.level * min(street.clear, STREET.sure))
+    return dataclasses.replace(first, u_px=math.hypot(first.u_px, _differing(first, found)))
 
 
 def _differing(best: Street, found: Sequence[Street]) -> float:
@@ -221,6 +226,8 @@ def _near(slope: Floats, place: int, reach: int = 3) -> float:
 
 MARGIN_PX = 6.0
 """Margin of a cell beyond the pattern of a single row, px of the coarse surface."""
+BORDER_PX = 1.2
+"""Distance from the border of the coarse surface, px, within which a pattern goes on beyond it."""
 SURE_DIES = 9
 """Number of dies accepted without streets; fewer may be any similar places."""
 ACROSS = 10
@@ -256,9 +263,9 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     ------
     DiesNotFound
         If the surface shows no contrast; nothing repeats; fewer than two complete dies lie on the surface; too few of
-        the places that repeat look alike; fewer than nine similar places have no streets; a pitch is ambiguous, as where
-        pads or lines repeat and no streets part the dies; the edges of streets are not clear; or the dies are turned by
-        more than 5 degrees. Its `brief` gives the reason in a few words.
+        the places that repeat look alike; fewer than nine similar places have no streets; a pitch is ambiguous, as
+        where pads or lines repeat and no streets part the dies; the edges of streets are not clear; or the dies are
+        turned by more than 5 degrees. Its `brief` gives the reason in a few words.
     MeasureError
         If no die of the lattice lies on the scanned surface, or the lattice has more than 100 000 places.
         `DiesNotFound` is a subclass.
@@ -281,9 +288,9 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     coarse = read_coarse(surface, evidence)
     periods = periods_of(coarse.layers)
     single = periods.pitch_x is None, periods.pitch_y is None
-    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, single)
+    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, single, coarse.pixel_um)
     grid = with_streets(found)
-    _require_size(grid, periods)
+    _require_size(grid, periods, found)
     if any(single):
         return _one_row(grid, single)
     if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
@@ -291,13 +298,11 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     return on_surface(grid, surface)
 
 
-def _require_size(grid: DieGrid, periods: Periods) -> None:
-    """Raise DiesNotFound where streets recur along an axis and their edges are not found."""
-    for axis, street_um, recurs in (
-        ("x", grid.street_x_um, periods.streets[0]),
-        ("y", grid.street_y_um, periods.streets[1]),
-    ):
-        if recurs and street_um == 0:
+def _require_size(grid: DieGrid, periods: Periods, found: Registered) -> None:
+    """Raise DiesNotFound where streets recur along an axis and their edges are not clear."""
+    for axis, recurs in zip("xy", periods.streets, strict=True):
+        street = street_of(found.cell, upright=axis == "x") if recurs else None
+        if recurs and (street is None or street.level < STREET.unclear):
             raise DiesNotFound(
                 f"The dies repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um, and the edges of the streets "
                 f"between them along {axis} are not clear: {MEND}.",
@@ -335,8 +340,8 @@ def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
     Along an axis of a single row the cell covers the pattern and a margin.
     """
     rows, cols = coarse.shape
-    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um)
-    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um)
+    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um, cols)
+    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um, rows)
     c, s = math.cos(periods.angle_rad), math.sin(periods.angle_rad)
     return DieGrid(
         pitch_x_um=along[1],
@@ -350,12 +355,18 @@ def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
     )
 
 
-def _cell(pitch_px: float | None, extent_px: tuple[float, float], pixel_um: float) -> tuple[float, float]:
-    """Return the begin of a cell from the centre of the surface, and its length, um."""
-    if pitch_px is not None:
-        return 0.0, pitch_px * pixel_um
+def _cell(pitch_px: float | None, extent_px: tuple[float, float], pixel_um: float, n_px: int) -> tuple[float, float]:
+    """Return the begin of a cell from the centre of the surface, and its length, um.
+
+    The cells of an array that does not reach the borders lie about its middle, so that streets part them.
+    """
     low, high = extent_px
-    return (low - MARGIN_PX) * pixel_um, (high - low + 2 * MARGIN_PX) * pixel_um
+    if pitch_px is None:
+        return (low - MARGIN_PX) * pixel_um, (high - low + 2 * MARGIN_PX) * pixel_um
+    if max(-low, high) > n_px / 2 - BORDER_PX:
+        return 0.0, pitch_px * pixel_um
+    n_dies = math.ceil((high - low) / pitch_px - 0.1)
+    return ((low + high) / 2 - n_dies / 2 * pitch_px) * pixel_um, pitch_px * pixel_um
 
 
 def with_streets(found: Registered) -> DieGrid:

@@ -50,6 +50,8 @@ class LatticeRefinementParameters:
         Largest standard uncertainty of a pitch relative to the pitch, for a lattice.
     least_window_px : int, px
         Smallest window of the high-pass of a cell, which is otherwise half of its shorter side.
+    few : int
+        Largest number of cells that are registered to the first one: their median holds each of them too much.
     rounds : int
         Rounds at the finest level; coarser levels need only approximate the lattice.
 
@@ -69,13 +71,14 @@ class LatticeRefinementParameters:
     as_clear: float = 0.5
     least_share: float = 0.65
     most_u_pitch: float = 0.003
-    rounds: int = 2
+    rounds: int = 3
+    few: int = 4
     least_window_px: int = 5
 
 
 REFINEMENT = LatticeRefinementParameters()
 SPARE_SHARE = 0.06
-"""Part of the pitch by which cells of a single row may extend beyond the surface: their margin is no part of a die."""
+"""Part of the pitch by which cells may extend beyond the surface: their margin is no part of a die."""
 Single = tuple[bool, bool]
 Cell = tuple[Float32s, ...]
 
@@ -91,12 +94,17 @@ class Registered:
 
 
 def refined(
-    surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float, single: Single = (False, False)
+    surface: Mosaic,
+    rough: DieGrid,
+    evidence: Evidence,
+    pixel_um: float,
+    single: Single = (False, False),
+    most_moved_um: float = math.inf,
 ) -> Registered:
     """Refine a lattice with cells as large as its pitches, from coarse to fine levels.
 
     pixel_um: pixel size at which the rough lattice was found. single: axes, x and y, along which there is one die only.
-    Raises MeasureError where most cells are dissimilar.
+    Raises MeasureError where most cells are dissimilar, or a pitch moves by more than `most_moved_um`.
     """
     grid = rough
     *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
@@ -109,7 +117,8 @@ def refined(
     lattice = finest.lattice(grid)
     cells = cells_of(finest, grid, lattice, unlike, single)
     shifts = registered_shifts(cells, lattice)
-    if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um:
+    moved_um = max(abs(grid.pitch_x_um - rough.pitch_x_um), abs(grid.pitch_y_um - rough.pitch_y_um))
+    if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um or moved_um > most_moved_um:
         raise DiesNotFound(*dissimilar_cells("Too few of the", lattice))
     return Registered(grid, median_cell([cells[die] for die in shifts]), lattice, len(shifts))
 
@@ -171,9 +180,9 @@ def _finite_fraction(layer: Float32s) -> float:
 
 
 def complete_cells(surface: Mosaic, grid: DieGrid, single: Single = (False, False)) -> list[tuple[int, int]]:
-    """Return (col, row) of the cells that lie completely on the surface, of a single column or row those in it."""
+    """Return (col, row) of the cells on the surface but for a margin; of a single column or row those in it."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
-    spare_um = SPARE_SHARE * max(grid.pitch_x_um, grid.pitch_y_um) if any(single) else 0.0
+    spare_um = SPARE_SHARE * max(grid.pitch_x_um, grid.pitch_y_um)
     low_x, low_y, high_x, high_y = low_x - spare_um, low_y - spare_um, high_x + spare_um, high_y + spare_um
     (cols, rows), (u, v) = cells_over(grid, (low_x, low_y, high_x, high_y)), half_cell(grid)
     x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
@@ -215,7 +224,8 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
 
     Raises MeasureError where fewer than `REFINEMENT.least_share` are similar.
     """
-    reference = _contrasts(median_cell(list(cells.values())))
+    some = list(cells.values())
+    reference = _contrasts(some[0] if len(some) <= REFINEMENT.few else median_cell(some))
     found = {die: _shift(reference, _contrasts(cell)) for die, cell in cells.items()}
     shifts = {die: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for die, lag in found.items() if lag}
     if len(shifts) < max(2, REFINEMENT.least_share * len(cells)):

@@ -91,6 +91,8 @@ class PeriodicityParameters:
         Period relative to the extent above which it is coarse.
     apart : float
         Ratio of two lags below which only the better one may be the period.
+    off_px : float, px
+        Largest distance of a multiple of the period from its expected place.
     better : float
         Excess of the correlation at a multiple of a lag over that at the lag, from which the period is doubtful.
 
@@ -131,6 +133,7 @@ class PeriodicityParameters:
     doubtful: float = 0.88
     fine: float = 0.25
     apart: float = 1.6
+    off_px: float = 1.5
     better: float = 0.12
 
 
@@ -473,7 +476,18 @@ def period_of(found: Similarity, axis: str) -> float | None:
     )
     if better > (PERIODICITY.better if streets else PERIODICITY.better / 3):
         raise _doubtful(axis)
-    return lag + vertex(*found.correlation[lag - 1 : lag + 2].tolist())
+    return _over_multiples(found, maxima, lag)
+
+
+def _over_multiples(found: Similarity, maxima: Sequence[int], lag: int) -> float:
+    """Return the period to subpixels, from the farthest of its successive multiples that correlate."""
+    period, times = lag + vertex(*found.correlation[lag - 1 : lag + 2].tolist()), 2
+    while True:
+        near = [one for one in maxima if abs(one - times * period) <= PERIODICITY.off_px]
+        if not near or _top(found, near[0]) < _top(found, lag) / 2:
+            return period
+        period = (near[0] + vertex(*found.correlation[near[0] - 1 : near[0] + 2].tolist())) / times
+        times += 1
 
 
 def _multiple(longer: int, lag: int) -> bool:
