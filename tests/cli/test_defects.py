@@ -222,3 +222,19 @@ def test_a_golden_die_of_something_else_is_refused_in_a_sentence(
     captured = capsys.readouterr()
     assert captured.out == ""
     assert says in captured.err
+
+
+@pytest.mark.slow
+def test_result_is_kept_where_a_file_cannot_be_written(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    blocked = tmp_path / "a file"
+    blocked.write_text("")
+    table = tmp_path / "w.csv"
+    flags = ("--klarf", str(blocked / "w.klarf"), "--csv", str(table), "--max-per-die", "50")
+    status = main(["measure", "defects", str(folder / "bumped.npz"), *GIVEN, *flags])
+    printed = capsys.readouterr()
+    reported = json.loads(printed.out)
+    assert (status, reported["files"]) == (1, {"csv": str(table)})
+    assert reported["inspection"]["defects"]
+    assert "w.klarf was not written, and the result is kept" in printed.err

@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, require_die_limit, verdict_of
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover, compared, overlay_klarf
@@ -58,7 +58,8 @@ def measure_defects(
 ) -> int:
     """The defects of a patterned wafer, each with size, height and class, as JSON; dies not scanned are named.
 
-    Status 0: within the limits; 1: any other verdict, also where dies were not found, or not or only partly scanned;
+    Status 0: within the limits; 1: any other verdict, also where dies were not found, or not or only partly scanned, or
+    where a file could not be written, which throws no result away;
     2: bad input. What people judged a nuisance in the dataset does not count.
 
     Args:
@@ -101,12 +102,14 @@ def measure_defects(
         require_die_limit(used_recipe.limits)
     with progress("Looking for defects") as tell:
         inspection = inspected(wafer, used_recipe, given, stored, against, tell, hire)
-    files = _files(wafer, inspection, wanted)
+    files, faults = _files(wafer, inspection, wanted)
     files |= _keep_golden(wafer, inspection, given, save_golden)
     verdict = verdict_of(inspection)
     summary = {"verdict": verdict, "files": files, "repeats": repeated_places(inspection), "inspection": inspection}
     print_json(msgspec.to_builtins(summary | _beside(other, wafer, inspection)))
-    return 0 if verdict.within else NOT_PASSED
+    for fault in faults:
+        warn(fault)
+    return 0 if verdict.within and not faults else NOT_PASSED
 
 
 def _recipe(
@@ -149,10 +152,22 @@ def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) ->
     return golden_named(src.absolute().parent / FOLDER, named, recipe.product) if named else None
 
 
-def _files(wafer: Wafer, found: Inspection, paths: dict[Handover, Path | None]) -> dict[str, str]:
-    """Write the requested files and return their paths by flag."""
-    written = {what: WRITERS[what](wafer, found, path) for what, path in paths.items() if path is not None}
-    return {"klarf" if what == "klarf18" else what: str(path) for what, path in written.items()}
+def _files(
+    wafer: Wafer, found: Inspection, paths: dict[Handover, Path | None]
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Write the requested files; return their paths by flag, and why others could not be written."""
+    written: dict[str, str] = {}
+    faults: list[str] = []
+    for what, path in paths.items():
+        if path is None:
+            continue
+        try:
+            WRITERS[what](wafer, found, path)
+        except (WaferViewerError, OSError) as fault:
+            faults.append(f"{path.name} was not written, and the result is kept: {fault}")
+        else:
+            written["klarf" if what == "klarf18" else what] = str(path)
+    return written, tuple(faults)
 
 
 def _require_readable(other: Path | None) -> None:
