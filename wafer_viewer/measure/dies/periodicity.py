@@ -91,6 +91,8 @@ class PeriodicityParameters:
         Period relative to the extent above which it is coarse.
     apart : float
         Ratio of two lags below which only the better one may be the period.
+    as_similar : float
+        Correlation of a shorter lag, relative to that of the period, from which the period is doubtful without streets.
     off_px : float, px
         Largest distance of a multiple of the period from its expected place.
     better : float
@@ -133,6 +135,7 @@ class PeriodicityParameters:
     doubtful: float = 0.88
     fine: float = 0.25
     apart: float = 1.6
+    as_similar: float = 0.85
     off_px: float = 1.5
     better: float = 0.12
 
@@ -475,6 +478,9 @@ def period_of(found: Similarity, axis: str) -> float | None:
         (_top(found, one) - _top(found, lag) for one in lags if not streets or _multiple(one, lag)), default=0.0
     )
     if better > (PERIODICITY.better if streets else PERIODICITY.better / 3):
+        raise _doubtful(axis)
+    shorter = max((_top(found, one) for one in maxima if one < lag - PERIODICITY.shortest_px), default=0.0)
+    if not streets and shorter > PERIODICITY.as_similar * _top(found, lag):
         raise _doubtful(axis)
     return _over_multiples(found, maxima, lag)
 
