@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+from playwright.sync_api import expect
+
 from tests.browser.audit import Act, Group, State, Visit
 from tests.browser.screen_list import EXPIRED, choose_stack, moving, noted
 from tests.browser.sessions import calibrated_states as calibrated
@@ -75,7 +77,7 @@ def press_step(step: str) -> Act:
 
     def act(visit: Visit) -> None:
         button = visit.page.get_by_role("button", name=step, exact=True).first
-        visit.page.wait_for_function("b => b.getAttribute('aria-disabled') !== 'true'", arg=button.element_handle())
+        expect(button).not_to_have_attribute("aria-disabled", "true")
         button.click()
         visit.page.locator("button[aria-current=step]", has_text=step).first.wait_for()
 

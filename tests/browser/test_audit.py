@@ -22,7 +22,7 @@ pytestmark = [
 ]
 REPORT = Group(lambda: fake.FakeSession(fake.measured()), "report", (State("report"),))
 FAULTS = {
-    'hit: the middle of button[button] "Stop" is span "Report"': """
+    'hit: the middle of button[button] "Report" is b "Stop"': """
         const [stop, report] = ['Stop', 'Report'].map(name =>
           [...document.querySelectorAll('button')].find(b => b.textContent.trim() === name));
         const { left, top } = stop.getBoundingClientRect();
