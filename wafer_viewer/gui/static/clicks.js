@@ -31,6 +31,7 @@ const TAKEN_MS = 5000;
 const reachable = at => at.isConnected && !at.matches(OUT_OF_REACH) && at.getClientRects().length > 0 && !at.closest('[inert]');
 let focused = null, following = [], pressedAt = 0;
 document.addEventListener('focusin', event => { focused = clickable(event.target); }, true);
+document.addEventListener('click', event => { if (event.detail) focused = null; }, true);  // by mouse: the keys are the page's
 window.addEventListener('keydown', event => {
   if (event.key !== 'Enter' && event.key !== ' ') return;
   const room = event.target.closest?.('[data-dock-region], [data-floating-window]') ?? document;

@@ -32,9 +32,14 @@ const elsewhere = event => {
     consume(event);
     document.querySelector('.wv-keys-sheet')?.click();
   } else if (plain && event.key === 'Enter' && event.target.closest?.('button, [role=button]')) {
-    /* It presses what has the focus, and is no key of ours then. */
-    consume(event);
-    window.wvClick(event.target.closest('button, [role=button]'));
+    /* It presses what has the focus, and is no key of ours then; with Shift it is ours. */
+    if (event.shiftKey) {
+      event.preventDefault();
+      again(event, {});
+    } else {
+      consume(event);
+      window.wvClick(event.target.closest('button, [role=button]'));
+    }
   } else if (plain && event.shiftKey && /^(Digit|Key)/.test(event.code)) {
     /* Shift + 1 types an exclamation mark, and viser's camera asks for no shift: the key alone goes on. */
     again(event, { key: event.code.replace(/^(Digit|Key)/, ''), code: '' });
