@@ -13,6 +13,7 @@ import logging.handlers
 import signal
 import socket
 import threading
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -53,6 +54,8 @@ HEARD_WITHIN_S = 0.5
 """Polling interval: the system may deliver a signal to any thread, but only the main thread handles it."""
 SWEPT_AFTER_S = 2.0
 """Delay after which viser no longer references a closed page."""
+LAST_SWEPT_AFTER_S = 60.0
+"""Longest delay, for a page that is still drawn on a slow machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +155,7 @@ def start(
         page = pages.pop(client.client_id, None)
         if page is not None:
             page.close()
-            sweep_up()
+            sweep_up(weakref.ref(page))
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
@@ -182,9 +185,18 @@ def _report_folders(session: Session) -> tuple[Path, ...]:
     return *folders, now.data_folder
 
 
-def sweep_up() -> None:
-    """Free a closed page, whose parts form reference cycles that Python would otherwise collect only after hours."""
-    sweeper = threading.Timer(SWEPT_AFTER_S, gc.collect)
+def sweep_up(closed: weakref.ref[Page], after_s: float = SWEPT_AFTER_S) -> None:
+    """Free a closed page, whose parts form reference cycles that Python would otherwise collect only after hours.
+
+    What is still drawing it lets go of it later: then it is tried again, each time after twice as long.
+    """
+
+    def sweep() -> None:
+        gc.collect()
+        if closed() is not None and after_s < LAST_SWEPT_AFTER_S:
+            sweep_up(closed, 2 * after_s)
+
+    sweeper = threading.Timer(after_s, sweep)
     sweeper.daemon = True
     sweeper.start()
 
