@@ -41,7 +41,7 @@ def one_die() -> HeightMap:
 
 WITHOUT_DIES = {
     "nothing repeats": (lambda: noise(made()), "No dies are found, because nothing repeats along x or y"),
-    "one die only": (one_die, "are no whole dies|nothing repeats along"),
+    "one die only": (one_die, "are no whole dies|nothing repeats along|pitch along x is ambiguous"),
     "turned by 8 degrees": (lambda: made(Wafer(angle_deg=8)), r"turned by 8\.0 degrees and at most 5 can be found"),
 }
 

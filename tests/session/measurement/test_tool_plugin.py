@@ -44,7 +44,7 @@ feature = Feature(name="top", tool="median_height", upper_limit=4.0, places=(pla
 print(msgspec.json.encode(dict(
     command="measure median-height" in commands(),
     placed=tool.initial in INITIAL_REGIONS,
-    card="Median height" in tool_cards() and "Median" in tool_strip("median_height"),
+    card="Median height" in tool_cards() and "Median" in tool_strip("median_height", True),
     answer=str(card(found, tool.title)),
     symbol=symbol(found),
     source=str(source(found)),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wafer_viewer.gui.presenters.inspection_form import DefectForm, against_of, dies_of, form_of, recipe_of
 
+from wafer_viewer.gui.steps.review.defect_form import DefectForm, against_of, dies_of, form_of, recipe_of
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.rigs.virtual.scenes.tour_wafer import DEPTH_UM, DROP_HEIGHT_UM, Planted, planted, scratch_middle
