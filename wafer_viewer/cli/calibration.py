@@ -162,7 +162,10 @@ def measure_rr(
 
     if len(src) == 1 and src[0].suffix.lower() == ".csv":
         found = gauge_rr(read_study(src[0]), method=method, tolerance=tolerance)
-        print_json(_rr_facts(found)) if to_program(json) else print_study(src[0].name, found)
+        if to_program(json):
+            print_json(_rr_facts(found))
+        else:
+            print_study(src[0].name, found)
         return
     studies = studies_of(src, job, result)
     with_tolerance = [study if tolerance is None else replace(study, tolerance=tolerance) for study in studies]

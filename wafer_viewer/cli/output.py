@@ -191,9 +191,8 @@ def measured_text(measured: Quantity | None) -> str:
     if measured is None:
         return "not measured"
     u, unit = measured.expanded, measured.unit
-    return f"{measured.value:.3f} {unit}" + (
-        f" +- {u:.2g} {unit} ({measured.k_text})" if u is not None else ", no uncertainty"
-    )
+    plus_minus = f" +- {u:.2g} {unit} ({measured.k_text})" if u is not None else ", no uncertainty"
+    return f"{measured.value:.3f} {unit}{plus_minus}"
 
 
 def print_surface(out: Path, info: SurfaceInfo) -> None:

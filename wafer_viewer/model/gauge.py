@@ -280,6 +280,8 @@ class Repeats(Spec, frozen=True, kw_only=True):
         return self.s / n**0.5
 
 
+K_OF_TRIALS = {2: 0.8862, 3: 0.5908, 4: 0.4857, 5: 0.4299}
+"""1 / d2 by number of trials: factor from their mean range to their standard deviation."""
 Effect = Literal["part", "appraiser", "part x appraiser", "repeatability"]
 EFFECTS: tuple[Effect, ...] = ("part", "appraiser", "part x appraiser", "repeatability")
 
@@ -482,4 +484,4 @@ class ProcessCapability(Spec, frozen=True, kw_only=True):
 
 
 CAPABLE = 1.33
-"""Least Cpk of a capable process."""
+"""Least Cpk of a capable process, and least Cg and Cgk of a capable gauge."""

@@ -144,7 +144,11 @@ class Quantity(Spec, frozen=True, kw_only=True):
         """Sentence on an uncertainty that is not that of its budget; None if they agree."""
         k, u = _combined((line.u, line.freedom) for line in self.budget)
         expanded = k * u
-        if self.expanded is None or not self.budget or math.isclose(self.expanded, expanded, rel_tol=ROUNDING):
+        if self.expanded is None or not self.budget:
+            return None
+        if not math.isclose(self.k, k, rel_tol=ROUNDING):
+            return f"k is said to be {self.k:.3g}, and is {k:.3g} by its budget"
+        if math.isclose(self.expanded, expanded, rel_tol=ROUNDING):
             return None
         return f"U is said to be {self.expanded:.3g} {self.unit}, and is {expanded:.3g} by its budget"
 

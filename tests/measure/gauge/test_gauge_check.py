@@ -84,6 +84,14 @@ def test_a_pass_of_one_scan_says_that_repeatability_is_not_known():
     assert "Repeatability" not in two.why
 
 
+def test_a_coverage_factor_that_was_changed_contradicts_the_budget():
+    check = gauge_check(repeats(399.9, 400.0, 400.1), certificate())
+    assert contradiction(check) is None
+    forged = replace(check, height=replace(check.height, k=2.0))
+    assert "the height is said to be" in contradiction(forged)
+    assert forged.height.quantity.contradiction.startswith("k is said to be 2, and is 2.1")
+
+
 def test_fewer_scans_than_asked_for_get_no_verdict():
     terms = GaugeTerms(limit_um=1.0, least_repeats=3)
     short, enough = (

@@ -9,12 +9,12 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.charts.axes import ChartAxes, PlotLook, Tick, line_svg, plot_html, round_ticks
+from wafer_viewer.model.gauge import K_OF_TRIALS
 
 COLOURS = ("accent", "attention", "good", "fault", "ink2")
 """Colours of appraisers, in order."""
-D2 = {2: 1.128, 3: 1.693, 4: 2.059, 5: 2.326}
 D3 = {2: 0.853, 3: 0.888, 4: 0.880, 5: 0.864}
-"""Mean and standard deviation of the range of so many normal values."""
+"""Standard deviation of the range of so many normal values."""
 _DOTS = Markup('stroke-dasharray="2 4"')
 _ROOM = 0.08
 _MOST_Y, _MOST_X = 4, 10
@@ -29,9 +29,9 @@ def study_charts_html(values: Sequence[Sequence[Sequence[float]]], unit: str = "
     x = np.asarray(values, float)
     means, ranges = x.mean(axis=2), np.ptp(x, axis=2)
     spread, n = float(ranges.mean()), x.shape[2]
-    known = n in D2
-    half = 3 * spread / (D2[n] * n**0.5) if known else 0.0
-    beyond = 3 * D3[n] / D2[n] * spread if known else 0.0
+    known = n in K_OF_TRIALS
+    s = K_OF_TRIALS[n] * spread if known else 0.0
+    half, beyond = 3 * s / n**0.5, 3 * s * D3.get(n, 0.0)
     middle = float(means.mean())
     of_means = (middle - half, middle, middle + half) if known else (middle,)
     of_ranges = (max(0.0, spread - beyond), spread, spread + beyond) if known else (spread,)

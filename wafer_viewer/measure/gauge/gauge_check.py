@@ -347,12 +347,12 @@ def contradiction(check: GaugeCheck) -> str | None:
 
 
 def _agree(a: Length, b: Length) -> bool:
-    pairs = ((a.value_um, b.value_um), (a.expanded_um or 0.0, b.expanded_um or 0.0))
+    pairs = ((a.value_um, b.value_um), (a.expanded_um or 0.0, b.expanded_um or 0.0), (a.k, b.k))
     return all(math.isclose(x, y, rel_tol=ROUNDING, abs_tol=ROUNDING) for x, y in pairs)
 
 
 def _text(length: Length) -> str:
-    return f"{length.value_um:.4f} um, U {length.expanded_um or 0.0:.4f} um"
+    return f"{length.value_um:.4f} um, U {length.expanded_um or 0.0:.4f} um, k {length.k:.4f}"
 
 
 def en(x: Length, reference: Length) -> float | None:

@@ -20,7 +20,9 @@ from wafer_viewer.measure.base.measurement_context import contribution
 from wafer_viewer.measure.gauge.gauge_check import KnownTerms
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import (
+    CAPABLE,
     EFFECTS,
+    K_OF_TRIALS,
     AnovaRow,
     Capability,
     ChartPoint,
@@ -190,8 +192,6 @@ CG_SHARE = 0.2
 """Share of the tolerance with which Cg compares six standard deviations."""
 CGK_SHARE = 0.1
 """Share of the tolerance that Cgk leaves for the bias to either side."""
-LEAST = 1.33
-"""Lower limit of Cg and of Cgk."""
 VARIANT = "Cg = 0.2 T / (6 s), Cgk = (0.1 T - |mean error|) / (3 s), both >= 1.33 over 25 repeats"
 
 
@@ -202,7 +202,7 @@ def capability(errors_um: Sequence[float], tolerance_um: float) -> Capability:
     s_um = stdev(errors_um) if n > 1 else None
     cg = CG_SHARE * tolerance_um / (6 * s_um) if s_um else None
     cgk = (CGK_SHARE * tolerance_um - abs(mean_um)) / (3 * s_um) if s_um else None
-    capable = None if cg is None or cgk is None or n < LEAST_REPEATS else min(cg, cgk) >= LEAST
+    capable = None if cg is None or cgk is None or n < LEAST_REPEATS else min(cg, cgk) >= CAPABLE
     return Capability(
         n=n,
         tolerance_um=tolerance_um,
@@ -221,7 +221,7 @@ def _why(n: int, s_um: float | None, capable: bool | None) -> str:
         return f"There are {n} of {LEAST_REPEATS} repeats: fewer give no verdict."
     if not s_um:
         return "The repeats do not differ at all: the instrument rounds, or one scan was counted several times."
-    return f"Both are at least {LEAST}." if capable else f"One is under {LEAST}."
+    return f"Both are at least {CAPABLE}." if capable else f"One is under {CAPABLE}."
 
 
 # ------------------------------------------------------------------------------------------------------------- gauge rr
@@ -231,8 +231,6 @@ Values = NDArray[np.float64]
 """Measured values, [part, appraiser, trial]."""
 ALPHA = 0.05
 """Significance level of the interaction; above it, the interaction is pooled into repeatability."""
-K_OF_TRIALS = {2: 0.8862, 3: 0.5908, 4: 0.4857, 5: 0.4299}
-"""1 / d2 by number of trials: factor from their mean range to their standard deviation."""
 K_OF_MEANS = {2: 0.7071, 3: 0.5231, 4: 0.4467, 5: 0.4030, 6: 0.3742, 7: 0.3534, 8: 0.3375, 9: 0.3249, 10: 0.3146}
 """1 / d2* of one range, by number of appraisers or parts: factor from the range of means to their deviation."""
 CONFIDENCE = 0.95
