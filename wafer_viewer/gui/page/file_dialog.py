@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import os
 import shlex
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from datetime import datetime
@@ -89,6 +90,7 @@ class FileList:
         self._shown: Listing | None = None
         self._sent: dict[str, Path] = {}
         self._expected = 1
+        self._putting = threading.Lock()
         gui = self._page.gui
         self._places = HtmlBlock(gui)
         self._list = HtmlBlock(gui, padded=False)
@@ -198,8 +200,9 @@ class FileList:
         @upload.on_upload
         def _(event: Any) -> None:
             called = event.target.value.name
-            is_last = self.put(save_upload(event.target.value), called)
-            n_sent, expected = len(self._sent), self._expected
+            with self._putting:
+                is_last = self.put(save_upload(event.target.value), called)
+                n_sent, expected = len(self._sent), self._expected
             sent = f"{called} was sent and is chosen." if expected == 1 else f"{n_sent} of {expected} files were sent."
             self._status.show(_status_line(sent))
             if then is not None and is_last:

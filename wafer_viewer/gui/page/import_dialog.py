@@ -41,7 +41,7 @@ def import_dialog(page: Page) -> None:
 
 def take_drops(page: Page) -> None:
     """Open the import dialog on files that are dropped on the page; the browser sends them to the dialog."""
-    page.on_pick("import-drop", lambda n_files: ImportDialog(page).expect(n_files))
+    page.on_pick("import-drop", lambda drop: ImportDialog(page).expect(drop))
 
 
 class ImportDialog:
@@ -63,7 +63,7 @@ class ImportDialog:
         with dialog.modal:
             self._sub = HtmlBlock(gui, _sub("A folder of images, several files, a multi-page TIFF; or a surface file."))
             self._progress = HtmlBlock(gui)
-            add_html(gui, Markup('<div class="wv-import"></div>'))
+            self._awaited = HtmlBlock(gui, _awaited(), padded=False)
             with gui.add_folder("·"):
                 self._files = FileList(dialog, "images", rows=6, on_open=self.changed)
                 self._files.add_upload(then=self.changed)
@@ -116,9 +116,10 @@ class ImportDialog:
 
     # --- what a person does
 
-    def expect(self, n_files: str) -> None:
-        """Wait for so many files that were dropped, before they are looked at."""
-        self._files.expect(int(n_files))
+    def expect(self, drop: str) -> None:
+        """Wait for all files of a drop, `number:files`, before they are looked at; the browser sends them then."""
+        self._files.expect(int(drop.partition(":")[2]))
+        self._awaited.show(_awaited(drop))
 
     def changed(self) -> None:
         """Look at the chosen files as soon as path and values rest; until then the import itself checks them."""
@@ -321,6 +322,11 @@ class ImportDialog:
         self._facts.show(words.facts_html(contents) if images else "")
         self._place_head.show(html.head("Place on the sample", words.fields_words(contents)) if images else "")
         self._place.show(words.place_html(contents))
+
+
+def _awaited(drop: str = "") -> Markup:
+    """Return the mark of this dialog, with the drop whose files it waits for."""
+    return Markup('<div class="wv-import" data-drop="{}"></div>').format(drop)
 
 
 def _key_of(names: Mapping[Any, str], shown: str) -> Any:

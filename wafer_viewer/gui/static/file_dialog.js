@@ -64,20 +64,22 @@ window.addEventListener('change', event => {
   event.target.value = '';
   window.wvReport('file-too-large', file.name);
 }, true);
-/* Files dropped on the page open the import dialog, and are sent there as by its button, one after the other. */
-const DROP_MS = 100, DROP_TRIES = 50;
+/* Files dropped on the page open the import dialog, and are sent there as by its button, one after the other, as soon as
+   the dialog says that it waits for them. */
+const DROP_MS = 100, DROP_TRIES = 300;
+let nDrops = 0;
 const hasFile = event => [...event.dataTransfer?.types ?? []].includes('Files');
-const send = (files, tries) => {
-  const input = document.querySelector('.mantine-Modal-content:has(.wv-import) input[type=file]');
+const send = (files, drop, tries) => {
+  const input = document.querySelector(`.mantine-Modal-content:has(.wv-import[data-drop="${drop}"]) input[type=file]`);
   if (!input || input.parentElement.querySelector('button')?.disabled) {
-    if (tries || input) setTimeout(() => send(files, input ? DROP_TRIES : tries - 1), DROP_MS);
+    if (tries || input) setTimeout(() => send(files, drop, input ? DROP_TRIES : tries - 1), DROP_MS);
     return;
   }
   const chosen = new DataTransfer();
   chosen.items.add(files[0]);
   input.files = chosen.files;
   input.dispatchEvent(new Event('change', { bubbles: true }));
-  if (files.length > 1) setTimeout(() => send(files.slice(1), DROP_TRIES), DROP_MS);
+  if (files.length > 1) setTimeout(() => send(files.slice(1), drop, 0), DROP_MS);
 };
 window.addEventListener('dragover', event => { if (hasFile(event)) event.preventDefault(); }, true);
 window.addEventListener('drop', event => {
@@ -89,8 +91,9 @@ window.addEventListener('drop', event => {
     window.wvReport('file-too-large', files.length > 1 ? `A drop of ${files.length} files` : files[0].name);
     return;
   }
-  window.wvReport('import-drop', files.length);
-  setTimeout(() => send(files, DROP_TRIES), 3 * DROP_MS); // the dialog hears first how many there are
+  const drop = `${++nDrops}:${files.length}`;
+  window.wvReport('import-drop', drop);
+  send(files, drop, DROP_TRIES);
 }, true);
 window.addEventListener('keydown', event => {
   const list = last('.wv-files');
