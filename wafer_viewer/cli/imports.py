@@ -14,6 +14,7 @@ from tyro.conf import Suppress
 from wafer_viewer.cli.arguments import File, Images, Out, Sources, Text, Word, require_sources
 from wafer_viewer.cli.output import audit, print_contents, print_json, progress, warn
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.surface_format import Table
 
 
@@ -89,7 +90,7 @@ def import_(
 
 
 OUTPUTS: dict[str, tuple[str, ...]] = {"import": ("-o",), "reconstruct": ("-o",), "report": ("-o",), "convert": ()}
-ENDINGS = {"import": ".wafer", "report": ".html"}
+ENDINGS = {"import": DATASET_ENDING, "report": ".html"}
 """Commands of a batch that write a file for each source, with the words before its name; and the ending of their only
 format."""
 

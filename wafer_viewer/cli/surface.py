@@ -24,6 +24,7 @@ from wafer_viewer.cli.arguments import (
 )
 from wafer_viewer.cli.output import audit, print_json, print_surface, progress, warn
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.file_formats import with_suffixes
 from wafer_viewer.model.report import PARTS, Paper, Part, ReportOrder
 from wafer_viewer.model.surface.comparison import Align, Comparison, Heights, SurfaceName
@@ -331,7 +332,7 @@ def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, 
     from wafer_viewer.store.formats.conversion import export, losses, require_format
 
     if out is not None and not out.suffix:
-        if Path(one.path).suffix != ".wafer" or out.name != str(out):
+        if Path(one.path).suffix != DATASET_ENDING or out.name != str(out):
             raise DatasetError(
                 f"{out} is not a file: give it an ending such as .npz, or compare with a NAME.wafer first."
             )

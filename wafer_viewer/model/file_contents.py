@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["images", "surface", "dataset"]
+DATASET_ENDING = ".wafer"
+"""Of the folders that hold a scan, its images and surfaces."""
 
 
 @dataclass(frozen=True, slots=True)

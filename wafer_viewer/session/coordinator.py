@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES, CoarseLook
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, PlanError, RoleError, WaferViewerError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
@@ -25,7 +26,7 @@ from wafer_viewer.session.core.audit_trail import AuditTrail, account
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
-from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, Library, free_name, today
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, Library, free_name, today
 from wafer_viewer.session.files.file_jobs import Documents, FileJobs
 from wafer_viewer.session.files.frame_check import FrameCheck, FrameCompression
 from wafer_viewer.session.gauge.gauge_controller import GaugeController
@@ -370,7 +371,7 @@ class SessionCoordinator:
     def _path_for(self, name: str) -> Path:
         from wafer_viewer.store.dataset.writer import remove_half_made
 
-        path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
+        path = self._folder / f"{Path(name).name.removesuffix(DATASET_ENDING)}{DATASET_ENDING}"
         remove_half_made(path)
         if path.exists():
             raise DatasetError(f"There is a dataset {path.name} already: choose another name, or continue its scan.")

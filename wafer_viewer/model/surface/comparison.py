@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.spec import Count, Fraction, NonNegative, Positive, Spec
 
 Heights = Literal["both", "raw", "cleaned"]
@@ -38,7 +39,7 @@ class SurfaceName(Spec, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """Display name."""
-        name = self.path.replace("\\", "/").rpartition("/")[2].removesuffix(".wafer")
+        name = self.path.replace("\\", "/").rpartition("/")[2].removesuffix(DATASET_ENDING)
         parts = [name, *([] if self.result == "default" else [self.result])]
         parts += [f"field {self.field}"] if self.field else []
         parts += [] if self.heights == "both" else [self.heights]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError, WaferViewerError, parser_errors_as
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.job import WaferVerdict
 from wafer_viewer.model.retention import RetentionRule
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
@@ -79,7 +80,6 @@ def _meet(a: Box, b: Box) -> bool:
     return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
 
 
-ENDING = ".wafer"
 DEFAULT_RESULT = "default"
 VERDICT = "verdict.json"
 ACCEPTED, REMOVED = "pass", "frames removed"
@@ -284,12 +284,12 @@ def today() -> str:
 def free_name(folder: Path, wish: str) -> str:
     """Return the requested name, or the first of ``wish-2``, ``wish-3``, … that no dataset has."""
     names = (wish if n == 1 else f"{wish}-{n}" for n in count(1))
-    return next(name for name in names if not (folder / f"{name}{ENDING}").exists())
+    return next(name for name in names if not (folder / f"{name}{DATASET_ENDING}").exists())
 
 
 def datasets_in(folder: Path, words: str = "") -> tuple[DatasetEntry, ...]:
     """Return the datasets of a folder that match all words, the newest first."""
-    paths = sorted(folder.glob(f"*{ENDING}")) if folder.is_dir() else []
+    paths = sorted(folder.glob(f"*{DATASET_ENDING}")) if folder.is_dir() else []
     rule = read_rule(folder)
     entries = [entry for path in paths if (entry := _entry(path, rule)) is not None and entry.matches(words)]
     return tuple(sorted(entries, key=lambda e: e.taken, reverse=True))

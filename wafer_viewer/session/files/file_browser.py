@@ -21,6 +21,7 @@ from typing import Literal
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.file_formats import READ
 from wafer_viewer.model.image_formats import READ as IMAGE_ENDINGS
 from wafer_viewer.session.core.commands import query
@@ -30,7 +31,6 @@ Order = Literal["date", "name", "size"]
 KindName = Literal[
     "dataset", "images", "plan", "job", "certificate", "klarf", "wafers", "surface", "study", "golden", "any"
 ]
-DATASET_ENDING = ".wafer"
 PAGE = 200
 """Number of entries listed at first; more are listed on request."""
 MOST_ENTRIES = 20_000

@@ -16,7 +16,7 @@ from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.plan import IMPORT, MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_contents import FileContents
+from wafer_viewer.model.file_contents import DATASET_ENDING, FileContents
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
@@ -29,7 +29,6 @@ from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, observer_command, query
 from wafer_viewer.session.core.dataset_library import (
     DEFAULT_RESULT,
-    ENDING,
     Library,
     free_name,
     save_summary,
@@ -308,8 +307,8 @@ class FileJobs:
 
     def _new_dataset(self, name: str | None, stem: str) -> Path:
         folder = self._command_queue.now.data_folder
-        wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, stem)
-        return folder / f"{wish}{ENDING}"
+        wish = Path(name).name.removesuffix(DATASET_ENDING) if name else free_name(folder, stem)
+        return folder / f"{wish}{DATASET_ENDING}"
 
 
 # ------------------------------------------------------------------------------------------------------------ documents

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.retention import RetentionRule
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications, RunningWork
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command
-from wafer_viewer.session.core.dataset_library import ACCEPTED, ENDING, Library, today, verdict_word
+from wafer_viewer.session.core.dataset_library import ACCEPTED, Library, today, verdict_word
 from wafer_viewer.session.surface.reconstruction_queue import no_heights
 from wafer_viewer.session.surface.worker_tasks import compress_frames, find_damaged_frames
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -53,7 +54,7 @@ def rule_of(folder: Path, days: int | None) -> RetentionRule:
 
 def old_frames(folder: Path, rule: RetentionRule) -> tuple[OldFrames, ...]:
     """Return the datasets of a folder whose frames may be removed today, by name."""
-    found = (_old(path, rule) for path in sorted(folder.glob(f"*{ENDING}")))
+    found = (_old(path, rule) for path in sorted(folder.glob(f"*{DATASET_ENDING}")))
     return tuple(old for old in found if old is not None)
 
 

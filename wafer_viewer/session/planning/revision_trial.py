@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, MeasureError, PlanError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.job import (
     FeatureVerdict,
     Job,
@@ -37,7 +38,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import command, forwarded
-from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, load_summary, today
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, load_summary, today
 from wafer_viewer.session.planning.job_releases import (
     as_released,
     for_next_wafer,
@@ -218,10 +219,10 @@ def datasets_of(paths: Sequence[Path]) -> tuple[Path, ...]:
     """Return the named datasets, and those in named folders. Raises DatasetError if there is none."""
     found: list[Path] = []
     for path in paths:
-        if path.suffix == ENDING:
+        if path.suffix == DATASET_ENDING:
             found.append(path)
         else:
-            found += sorted(path.glob(f"*{ENDING}"))
+            found += sorted(path.glob(f"*{DATASET_ENDING}"))
     if not found:
         names = ", ".join(str(path) for path in paths)
         raise DatasetError(f"There is no dataset in {names}: name folders that hold some, or datasets.")

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Align, Comparison, ComparisonFace, SurfaceName, comparison_of
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance
 from wafer_viewer.session.core.commands import command, query
-from wafer_viewer.session.core.dataset_library import ENDING, today
+from wafer_viewer.session.core.dataset_library import today
 from wafer_viewer.session.state.snapshot import Compared
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
@@ -200,7 +201,7 @@ def open_surface(name: SurfaceName) -> Mosaic:
     from wafer_viewer.store.formats.conversion import read_surface
 
     path = Path(name.path)
-    if path.suffix != ENDING:
+    if path.suffix != DATASET_ENDING:
         return read_as(read_surface(path), name.heights)
     data = Dataset.open(path)
     stored = data.result(name.result)
@@ -210,7 +211,7 @@ def open_surface(name: SurfaceName) -> Mosaic:
 def made_at(name: SurfaceName) -> float:
     """Return the time when the surface of a name was written, s since the epoch; 0 if it does not exist."""
     path = Path(name.path)
-    if path.suffix == ENDING:
+    if path.suffix == DATASET_ENDING:
         data = Dataset.open(path)
         stored = data.result(name.result)
         if name.field:

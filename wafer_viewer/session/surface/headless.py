@@ -13,13 +13,14 @@ from wafer_viewer.compute.dask_worker import attempt
 from wafer_viewer.compute.task_runner import LocalRunner, TaskRunner, n_local_workers, require_tls
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.errors import ComputeError, DatasetError, DiskFullError, PlanError, WaferViewerError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, part_of
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.model.surface_format import Reading
-from wafer_viewer.session.core.dataset_library import ENDING, summarise, today
+from wafer_viewer.session.core.dataset_library import summarise, today
 from wafer_viewer.session.state.snapshot import SurfaceInfo
 from wafer_viewer.session.surface.focus_evidence import focus_curve
 from wafer_viewer.session.surface.kernel_build import HEIGHTS, STITCHING, KernelPart, compile_missing
@@ -186,7 +187,7 @@ def evidence_of(
 
 def is_dataset(path: Path) -> bool:
     """Return whether a path names a dataset, existing or not."""
-    return path.suffix == ENDING
+    return path.suffix == DATASET_ENDING
 
 
 def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> list[int]:

@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.image_source import ImageOptions, ImagePlane, Stated
 from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_contents import AxisChoice, Fact, FileContents, FrameFact
+from wafer_viewer.model.file_contents import DATASET_ENDING, AxisChoice, Fact, FileContents, FrameFact
 from wafer_viewer.model.progress import Progress, ShouldStop, with_progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface_format import Reading
@@ -27,7 +27,6 @@ from wafer_viewer.store.images.stack_source import ImportSource, SourceField, Un
 from wafer_viewer.store.io.atomic_files import os_errors_as_dataset_errors
 
 OnFrame = Callable[[int, Image], None]
-DATASET_ENDING = ".wafer"
 SHOWN_PLACES = 5
 """Places of a frame whose sharpness is told."""
 SHOWN_TILES = 12

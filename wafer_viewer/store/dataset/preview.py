@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, parser_errors_as
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.image_formats import TIFF
 from wafer_viewer.store.images.image_files import (
     READERS,
@@ -34,7 +35,6 @@ MAX_TIFF_BYTES = 4_000_000_000
 MAX_PIXELS = 40_000_000
 STRETCH_PERCENT = 0.5, 99.5
 """Percentiles that are stretched to the full grey range, so that dark images are readable at this size."""
-DATASET_ENDING = ".wafer"
 
 
 def preview(path: Path) -> bytes:

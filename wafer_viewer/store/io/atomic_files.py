@@ -23,12 +23,12 @@ from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError, DiskFullError
+from wafer_viewer.model.file_contents import DATASET_ENDING
 
 _PART = re.compile(r"\..+\.(\d+)-([0-9a-f]{8})?[0-9a-f]{6}\.part(\.old)?")
 """Name of a file or folder that is being written, or was replaced, with the process and `_process_space`."""
 _NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
 """Errors by which file systems say that they have nothing to wait for in a folder."""
-_TIDIED = ".wafer"
 """Ending of datasets: whoever takes the lock of one removes all dead parts in it, where many are written."""
 DEAD_AFTER_S = 900.0
 """Age of the last change from which a part of another machine is dead; a live one changes every few seconds."""
@@ -54,7 +54,7 @@ def atomic_write(path: Path) -> Generator[Path]:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{_process_space()}{secrets.token_hex(3)}.part")
     is_inside_part = any(_PART.fullmatch(parent.name) for parent in path.parents)
-    if not any(parent.suffix == _TIDIED for parent in path.parents):
+    if not any(parent.suffix == DATASET_ENDING for parent in path.parents):
         _remove_dead_parts_of(path)
     try:
         with os_errors_as_dataset_errors(path):

@@ -24,6 +24,7 @@ import msgspec
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, detail, parser_errors_as
+from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.store.io.atomic_files import flush, os_errors_as_dataset_errors, to_disk, write_text
 from wafer_viewer.store.io.guarded_reading import read_content
@@ -313,7 +314,7 @@ def damaged(path: Path) -> DatasetError:
 
 def remedy(path: Path) -> str:
     """Return the remedy for a damaged file of a dataset, as the end of a sentence."""
-    dataset = next((p.name for p in path.parents if p.suffix == ".wafer"), "NAME.wafer")
+    dataset = next((p.name for p in path.parents if p.suffix == DATASET_ENDING), "NAME.wafer")
     parts = path.parts
     result = parts[len(parts) - parts[::-1].index("results")] if "results" in parts[:-1] else "default"
     flag = f" --result '{result}'" if result != "default" else ""
@@ -346,7 +347,7 @@ def _remedy_of_frames(path: Path, dataset: str) -> str:
 
 def _is_of_surface_file(path: Path) -> bool:
     """Return whether a file is in a dataset that was imported from a surface file, and so has no frames."""
-    dataset = next((parent for parent in path.parents if parent.suffix == ".wafer"), None)
+    dataset = next((parent for parent in path.parents if parent.suffix == DATASET_ENDING), None)
     return dataset is not None and dataset.is_dir() and not (dataset / "frames").exists()
 
 
