@@ -20,7 +20,7 @@ _HEIGHTS_ONLY = (
 )
 _MESH = "It is a drawing, not data: a part of the heights as a mesh, without the layers, and without gaps marked"
 MESH_POINTS = 1_000_000
-"""Default number of points of a mesh."""
+"""Default number of points of a mesh or a web page."""
 
 OWN_FORMATS = (
     SurfaceFormat(
@@ -136,7 +136,7 @@ OWN_FORMATS = (
         layout="µm from the surface's corner",
         reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_stl",
-        is_mesh=True,
+        is_drawing=True,
     ),
     SurfaceFormat(
         suffixes=(".obj",),
@@ -145,7 +145,7 @@ OWN_FORMATS = (
         layout="stage µm",
         reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_obj",
-        is_mesh=True,
+        is_drawing=True,
     ),
     SurfaceFormat(
         suffixes=(".glb",),
@@ -154,7 +154,15 @@ OWN_FORMATS = (
         layout="m, y up",
         reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_glb",
-        is_mesh=True,
+        is_drawing=True,
+    ),
+    SurfaceFormat(
+        suffixes=(".html",),
+        title="Web page, to send and look at",
+        loses="It is a drawing, not data: a part of the heights in 16 bits, and the all-in-focus picture as JPEG.",
+        layout="stage µm; any browser shows it from a disk or a web server, without this program",
+        writer=f"{_STORE}.web_page:write_web_page",
+        is_drawing=True,
     ),
     SurfaceFormat(
         suffixes=(".3mf",),
@@ -182,7 +190,6 @@ FORMATS = _all_formats()
 BY_SUFFIX = {suffix: one for one in FORMATS for suffix in one.suffixes}
 READ = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.reader is not None)
 WRITTEN = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.writer is not None)
-MESHES = tuple(suffix for suffix, one in BY_SUFFIX.items() if one.is_mesh)
 
 
 def suffix_of(path: Path) -> str:

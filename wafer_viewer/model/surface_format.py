@@ -38,8 +38,8 @@ class SurfaceFormat:
         ``is_surface(path)`` for suffixes that other kinds of files share. Default: every file is a surface.
     loses_more : callable or str, optional
         ``loses_more(strips)``: sentence on what a file loses of one surface beyond `loses`, or an empty text.
-    is_mesh : bool, default False
-        Triangles, at most `MESH_POINTS` points by default.
+    is_drawing : bool, default False
+        A drawing rather than data: at most `MESH_POINTS` points by default.
     magic : tuple of bytes, optional
         First bytes, one of which each file has, by which a file with the suffix of another format is recognised.
 
@@ -57,7 +57,7 @@ class SurfaceFormat:
     writer: Function | None = None
     is_surface: Function | None = None
     loses_more: Function | None = None
-    is_mesh: bool = False
+    is_drawing: bool = False
     magic: tuple[bytes, ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import base64
 import dataclasses
 import json
+import re
+import zlib
 
 import numpy as np
 import pytest
@@ -191,3 +194,28 @@ def test_a_mosaic_is_written_like_a_map(tmp_path):
     surface = make_surface()
     export(write_mosaic(tmp_path / "m.zarr", surface), tmp_path / "a.npz")
     assert_same_surface(read_npz(tmp_path / "a.npz"), surface)
+
+
+def test_a_web_page_holds_heights_to_half_a_code_and_its_gaps(tmp_path):
+    surface = make_surface(simulated=True)
+    page = export(surface, tmp_path / "a.html").read_text()
+    facts = json.loads(re.search(r'id="facts">(.*?)</script>', page)[1])
+    packed = zlib.decompress(base64.b64decode(re.search(r'id="heights">(.*?)</script>', page)[1]))
+    low, high = np.frombuffer(packed, np.uint8).reshape(2, *surface.shape).astype(np.uint16)
+    codes = np.cumsum(low + (high << 8), axis=1, dtype=np.uint16)
+    np.testing.assert_array_equal(codes == 0, np.isnan(surface.z_um))
+    heights = facts["low_um"] + (codes - 1.0) * facts["step_um"]
+    np.testing.assert_allclose(heights[codes > 0], surface.z_um[codes > 0], atol=0.51 * facts["step_um"])
+    assert (facts["rows"], facts["cols"], facts["pixel_um"], facts["every"]) == (30, 40, 0.5, 1)
+    assert set(facts["maps"]["Viridis"][:3]) == {68, 1, 84}
+
+
+def test_a_web_page_of_nothing_or_of_too_much_is_refused(tmp_path, monkeypatch):
+    surface = make_surface()
+    nothing = dataclasses.replace(surface, z_um=np.full(surface.shape, np.nan, np.float32))
+    with pytest.raises(DatasetError, match="would show nothing: no pixel has a height"):
+        export(nothing, tmp_path / "a.html")
+    monkeypatch.setattr("wafer_viewer.store.formats.web_page.MOST_POINTS", 1000)
+    with pytest.raises(DatasetError, match="more than 0 million points: take fewer"):
+        export(surface, tmp_path / "a.html", every=1)
+    assert not (tmp_path / "a.html").exists()

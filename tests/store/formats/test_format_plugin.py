@@ -60,7 +60,7 @@ def test_the_python_api_the_page_and_the_errors_know_it(installed):
     assert found["place"]
     assert found["simulated"]
     assert found["losses"] == ["It holds heights only."]
-    assert found["refusal"].endswith(".glb, .grid.")
+    assert found["refusal"].endswith(".glb, .html, .grid.")
     assert all(" .grid``" in text for text in found["help"])
     assert found["exported"]["GRID, heights as text"] == ".grid"
     assert found["opened"].endswith(", .grid")

@@ -19,12 +19,13 @@ from tests.support.datasets.samples import CALIBRATION, assert_same_surface, mak
 from tests.support.paths import ROOT
 from tests.support.surfaces import height_map
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.file_formats import MESHES, READ, WRITTEN, every_for, formats_markdown
+from wafer_viewer.model.file_formats import READ, WRITTEN, every_for, formats_markdown
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface_format import SurfaceFormat
 from wafer_viewer.store.formats.conversion import density, export, is_surface_file, losses, read_surface
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
+MESHES = (".stl", ".obj", ".glb")
 BOTH = [ending for ending in WRITTEN if ending in READ and ending not in MESHES]
 NEARLY = {".gsf": 2e-6, ".csv": 6e-6, ".xyz": 6e-6}
 """How far heights of some um come back off, um, in formats that do not keep all digits."""

@@ -177,7 +177,7 @@ def export_dialog(page: Page) -> None:
         ending = WRITTEN_TITLES[kind.value]
         name = Path(files.field.value)
         files.save_as(f"{name.name.removesuffix(suffix_of(name))}{ending}", ending)
-        every.value = every_for(size[:2], MESH_POINTS) if size and BY_SUFFIX[ending].is_mesh else 1
+        every.value = every_for(size[:2], MESH_POINTS) if size and BY_SUFFIX[ending].is_drawing else 1
         description.show(_description(ending, every.value, size))
 
     @every.on_update

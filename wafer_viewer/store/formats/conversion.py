@@ -123,8 +123,8 @@ def export(
     path : str or Path
         File to write. Its suffix selects the format: ``{WRITTEN}``. An existing file is replaced.
     every : int, optional
-        Write only every n-th row and column. Default: all of them; for a mesh (``.stl``, ``.obj``, ``.glb``) the
-        smallest n that gives at most a million points.
+        Write only every n-th row and column. Default: all of them; for a mesh or a web page (``.stl``, ``.obj``,
+        ``.glb``, ``.html``) the smallest n that gives at most a million points.
     progress : callable, optional
         Receives the completed fraction, 0 to 1.
     should_stop : callable, optional
@@ -138,8 +138,8 @@ def export(
     Raises
     ------
     DatasetError
-        When the suffix is unknown, `every` is negative, the file would pass 4 GB (GWY and GLB), a mesh would hold no
-        triangle, the file cannot be written, or the work is stopped.
+        When the suffix is unknown, `every` is negative, the file would pass 4 GB (GWY and GLB) or 16 million points (a
+        web page), a mesh would hold no triangle, the file cannot be written, or the work is stopped.
 
     Notes
     -----
@@ -209,10 +209,10 @@ def require_format(path: Path) -> Writer:
 
 
 def density(surface: HeightMap | Mosaic, path: Path, most_points: int | None = None) -> int:
-    """Return n for writing every n-th pixel: 1 by default, more for a mesh or a limited number of points."""
+    """Return n for writing every n-th pixel: 1 by default, more for a drawing or a limited number of points."""
     if most_points is not None and most_points < 4:
         raise DatasetError(f"--max-points is {most_points}: a surface has at least 4.")
-    if most_points is None and not BY_SUFFIX[suffix_of(path)].is_mesh:
+    if most_points is None and not BY_SUFFIX[suffix_of(path)].is_drawing:
         return 1
     return every_for(surface.shape, most_points or MESH_POINTS)
 
