@@ -1,9 +1,10 @@
-"""Saved views, stored with the dataset, and the camera pose that survives a reload."""
+"""Saved views, stored with the dataset, links to them, and the camera pose that survives a reload."""
 
 from __future__ import annotations
 
 from functools import partial
 from typing import Any
+from urllib.parse import quote
 
 import msgspec
 import numpy as np
@@ -29,11 +30,13 @@ LOOKED = ("look", "colour_by", "colours", "range_um", "exaggeration", "hillshade
 
 
 class SavedViews:
-    """Commands of saved views: save, go to, rename, delete, undo."""
+    """Commands of saved views: save, go to, link to, rename, delete, undo."""
 
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
         page.on_pick("view", lambda key: self.go_to(int(key)))
+        page.on_pick("view-link", lambda key: self._tell_link(int(key)))
+        page.on_pick("view-linked", self._follow)
         page.on_pick("view-save", lambda _: self.ask_name())
         page.on_pick("view-rename", lambda key: self._ask_other_name(int(key)))
         page.on_pick("view-delete", lambda key: self._delete(int(key)))
@@ -79,6 +82,24 @@ class SavedViews:
         self._scene.draw(page.session.snapshot, page.view)  # before the camera moves: another surface is framed anew
         self._scene.go_to(CameraPose(np.array(saved.position_mm), np.array(saved.look_at_mm)))
 
+    def _tell_link(self, number: int) -> None:
+        """Say that the address of the page, which its script has changed, leads to a view."""
+        saved = self._page.session.snapshot.notebook.book.view(number)
+        if saved is not None:
+            told = "The address of this page leads to it now: copy it and send it to whoever may open this page."
+            self._page.say(f"Link to {saved.name}", told, "good")
+
+    def _follow(self, link: str) -> None:
+        """Go to the view that the address of the page names, ``number:dataset``."""
+        number, _, name = link.partition(":")
+        data = self._page.session.snapshot.dataset
+        if data is None or data.path.name != name:
+            self._page.say("The view is of another dataset", f"This link leads to {name}: open it first.", "attention")
+        elif self._page.session.snapshot.notebook.book.view(int(number)) is None:
+            self._page.say("The view is gone", f"{name} has no view {number} any more.", "attention")
+        else:
+            self.go_to(int(number))
+
     def _ask_other_name(self, number: int) -> None:
         page, saved = self._page, self._page.session.snapshot.notebook.book.view(number)
         if saved is None:
@@ -122,7 +143,7 @@ def views_html(snapshot: Snapshot, view: View) -> Markup:
     if not view.on_surface or snapshot.dataset is None:
         return Markup()
     state = snapshot.notebook
-    rows = [_row(saved) for saved in state.book.views]
+    rows = [_row(saved, snapshot.dataset.path.name) for saved in state.book.views]
     listed = html.table([], rows) if rows else ""
     undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
     undo = Markup('<span class="wv-link" {}>undo</span>').format(html.command_pick("view-undo")) if undone else Markup()
@@ -137,16 +158,26 @@ def views_html(snapshot: Snapshot, view: View) -> Markup:
     return html.head("Views") + listed + foot
 
 
-def _row(saved: SavedView) -> Markup:
+def _row(saved: SavedView, dataset: str) -> Markup:
     key = Markup("<kbd>{}</kbd>").format(spoken(str(saved.number), "shift")) if saved.number <= WITH_KEYS else Markup()
     name = Markup('<span class="wv-cut wv-short" title="Look from here" {}>{}</span>').format(
         html.pick("view", saved.number), saved.name
+    )
+    link = Markup(
+        '<span class="wv-act" title="{0}" aria-label="{0}" data-link="view={1}&amp;of={2}" {3}>{4}</span>'
+    ).format(
+        f"Link to {saved.name}",
+        saved.number,
+        quote(dataset, safe=""),
+        html.pick("view-link", saved.number),
+        html.icon(viser.Icon.LINK, 14),
     )
     return html.row(
         [
             name,
             key,
-            _act("view-rename", saved, "Rename", viser.Icon.PENCIL)
+            link
+            + _act("view-rename", saved, "Rename", viser.Icon.PENCIL)
             + _act("view-delete", saved, "Delete", viser.Icon.TRASH),
         ],
         "  n",

@@ -58,6 +58,18 @@ document.addEventListener('input', event => { if (event.target.matches(TYPED)) t
 document.addEventListener('focusout', event => entered(event.target), true);
 document.addEventListener('keydown', event => { if (event.key === 'Enter') entered(event.target); }, true);
 
+/* A link to a saved view names it after the # of the address, which viser's client drops when it starts; so a reload
+   stays where one is. */
+on('click', 'link', (_, at) => history.replaceState(null, '', `#${at.dataset.link}`));
+const follow = link => {
+  const [, number, dataset] = /^#view=(\d+)&of=(.+)$/.exec(link) ?? [];
+  if (!number) return;
+  if (document.querySelector('.wv-title')) window.wvReport('view-linked', `${number}:${decodeURIComponent(dataset)}`);
+  else setTimeout(follow, 300, link);
+};
+addEventListener('hashchange', () => follow(location.hash));
+follow(location.hash);
+
 /* Range inputs, while they move and when they are let go. */
 const moved = at => `${at.name}:${at.value}:${at.dataset.by || 'key'}:`;
 const SLIDES = {
