@@ -95,5 +95,6 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
     "show_prev_next": True,
+    "collapse_navigation": True,
 }
 html_sidebars = {"index": []}

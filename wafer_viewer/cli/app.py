@@ -75,6 +75,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "cluster": CommandEntry("acquisition", "make what several machines need to work together"),
     "convert": CommandEntry("surface", "write a surface in another format"),
     "fields": CommandEntry("surface", "write the fields of a stitched surface as images in place"),
+    "docs": CommandEntry("upkeep", "open the documentation in the browser, offline"),
     "glossary": CommandEntry("upkeep", "what the words of this program mean"),
     "conformance": CommandEntry("acquisition", "check on the rig itself that it does what a scan needs; signed report"),
     "positioners": CommandEntry("acquisition", "light, objective, zoom, tilts and rotation of a rig; moves them"),

@@ -1,10 +1,6 @@
 """Commands of upkeep: audit log, people, old frames, state of the machine, a file for support, the glossary.
 
 The signature of a command defines its flags, its docstring is its help.
-
-The signature of a command defines its flags, its docstring is its help.
-
-The signature of a command defines its flags, its docstring is its help.
 """
 
 from __future__ import annotations
@@ -312,6 +308,24 @@ def bundle(out: OutFile = None, rig: File = None, data: Path = DATA_FOLDER, data
     with progress("Support file"):
         held = write_bundle(path, check_environment(config, data.expanduser(), lambda: None), config, dataset)
     print_lines((f"{path}:", *(f"  {name}" for name in held)))
+
+
+def docs(build: bool = False) -> None:
+    """Open the documentation in the browser of this machine; it needs no network.
+
+    Args:
+        build: Build the site instead, in a checkout; a warning ends it with status 2.
+    """
+    import webbrowser
+
+    from wafer_viewer.session.files.documentation import build_site, first_page
+
+    if build:
+        build_site()
+    address = first_page().as_uri()
+    print(address)
+    if not build:
+        webbrowser.open(address)
 
 
 def glossary(word: Word = "") -> int:

@@ -38,6 +38,7 @@ from wafer_viewer.gui.widgets.number_field import EMPTY
 from wafer_viewer.gui.widgets.style import DARK, LIGHT, read_static
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.core.network_access import NetworkAccess
+from wafer_viewer.session.files.documentation import documentation_files
 from wafer_viewer.session.files.file_jobs import read_report
 from wafer_viewer.session.files.support_bundle import viewer_log
 
@@ -144,6 +145,7 @@ def start(
     cache_prop_types()
     server, guard = open_server(host, _free(host, port), token, network, page_script(), page_shell())
     guard.report = lambda name: read_report(name, _report_folders(session), session.papers.saved_reports)
+    guard.documentation = documentation_files
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map(None)  # surfaces bring their own light; making one costs a second

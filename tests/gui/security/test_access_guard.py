@@ -117,6 +117,25 @@ def test_reports_are_served_to_who_may_open_the_page_and_no_other_file_is(server
         server[1].report = lambda name: None
 
 
+def test_the_documentation_is_served_to_who_may_open_the_page(server: Server, tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("<h1>Read me</h1>")
+    (tmp_path / "theme.css").write_text("h1 {}")
+    (tmp_path.parent / "secret.html").write_text("of another folder")
+    files = {"index.html": tmp_path / "index.html", "_static/theme.css": tmp_path / "theme.css"}
+    server[1].documentation = lambda: files
+    try:
+        assert get(server, "/documentation/index.html").status == 401
+        answer = get(server, "/documentation/index.html", Cookie=cookie(server))
+        assert (answer.status, answer.getheader("Content-Type")) == (200, "text/html")
+        assert "connect-src 'none'" in answer.getheader("Content-Security-Policy", "")
+        style = get(server, "/documentation/_static/theme.css?v=1", Cookie=cookie(server))
+        assert (style.status, style.getheader("Content-Type")) == (200, "text/css")
+        for name in ("", "theme.css", "..%2fsecret.html", "../secret.html"):
+            assert get(server, f"/documentation/{name}", Cookie=cookie(server)).status == 404
+    finally:
+        server[1].documentation = dict
+
+
 def test_a_cookie_of_another_viewer_is_none(server: Server) -> None:
     other = f"wafer_viewer_1={cookie(server).split('=')[1]}"
     assert get(server, "/", Cookie=other).status == 401

@@ -62,6 +62,9 @@ def raw(server: Server, request: bytes, timeout_s: float = 5.0) -> bytes:
         "/reports/..%2f..%2f..%2fetc%2fpasswd",
         "/reports/../index.html",
         "/reports/%00",
+        "/documentation/..%2f..%2f..%2fconf.py",
+        "/documentation/../conf.py",
+        "/documentation//etc/passwd",
     ],
 )
 def test_no_path_leads_out_of_the_page(server: Server, path: str) -> None:

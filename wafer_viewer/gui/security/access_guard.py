@@ -19,9 +19,10 @@ import hmac
 import http
 import http.cookies
 import logging
+import mimetypes
 import secrets
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
@@ -152,6 +153,12 @@ _REPORT_POLICY = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """Policy of a report, one file without scripts: whatever a name brings into it, nothing of it runs."""
+DOCUMENTATION = "/documentation/"
+_SITE_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "font-src 'self'; connect-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+"""Policy of the documentation, whose theme has scripts in its pages: none of them can reach the viewer."""
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -177,6 +184,8 @@ class AccessGuard:
         self._login = Login(network.password) if network else None
         self.report: Callable[[str], bytes | None] = lambda name: None
         """Bytes of a report by name, served under /reports/NAME to authorised browsers; None if missing."""
+        self.documentation: Callable[[], Mapping[str, Path]] = dict
+        """Files of the documentation by path, served under /documentation/PATH to authorised browsers."""
         self.refuse_upload: Refusal = lambda connection, upload: False
         """Tells whether a connection may not send a file."""
         self._port = 0
@@ -223,7 +232,7 @@ class AccessGuard:
             if response is None and not (self._has_cookie(request) or self._has_token(request)):
                 response = self._unauthorised(request)
             if response is None:
-                response = self._reported(request)
+                response = self._reported(request) or self._documented(request)
             if response is None and answer is not None:
                 response = self._with_scripts(answer(connection, request), request)
                 if response is not None and self._has_token(request):
@@ -267,6 +276,19 @@ class AccessGuard:
         kind = "application/pdf" if path.endswith(PRINTED) else "text/html; charset=utf-8"
         headers = Headers({"Content-Type": kind, "Content-Length": str(len(body))})
         headers["Content-Security-Policy"] = _REPORT_POLICY
+        return Response(http.HTTPStatus.OK.value, http.HTTPStatus.OK.phrase, headers, body)
+
+    def _documented(self, request: Request) -> Response | None:
+        """Return the response to a request for a page of the documentation; None for other requests."""
+        path = unquote(_path(request))
+        if not path.startswith(DOCUMENTATION):
+            return None
+        file = self.documentation().get(path.removeprefix(DOCUMENTATION))
+        if file is None:
+            return _text(http.HTTPStatus.NOT_FOUND, "There is no such page of the documentation.\n")
+        body, kind = file.read_bytes(), mimetypes.guess_type(file.name)[0] or "application/octet-stream"
+        headers = Headers({"Content-Type": kind, "Content-Length": str(len(body))})
+        headers["Content-Security-Policy"] = _SITE_POLICY
         return Response(http.HTTPStatus.OK.value, http.HTTPStatus.OK.phrase, headers, body)
 
     def bound_to(self, port: int) -> None:

@@ -43,6 +43,7 @@ from wafer_viewer.gui.page.preconditions import (
 )
 from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.page.work_steps import TITLES
+from wafer_viewer.gui.security.access_guard import DOCUMENTATION
 from wafer_viewer.gui.shell.header import switch_theme
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.steps.acquire import RETAKE, pause_or_resume, retake, why_not_retaken
@@ -61,6 +62,7 @@ from wafer_viewer.gui.widgets.controls import Command, Group, HtmlBlock, add_htm
 from wafer_viewer.gui.widgets.html import with_micro_sign
 from wafer_viewer.model.glossary import Subject, terms_of
 from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.session.files.documentation import FIRST_PAGE, site_folder
 from wafer_viewer.session.state.snapshot import Snapshot
 
 ICON = viser.Icon
@@ -384,13 +386,22 @@ def shortcut_table(commands: Sequence[Command]) -> Markup:
     )
 
 
+def documentation_link() -> Markup:
+    """Return the link to the documentation on the page's own server, or how to get it."""
+    if site_folder() is None:
+        return Markup("<p>The documentation is not built: <code>wafer-viewer docs --build</code> in a checkout.</p>")
+    return Markup('<p><a href="{}{}" target="_blank" rel="noopener">Open the documentation</a></p>').format(
+        DOCUMENTATION, FIRST_PAGE
+    )
+
+
 def add_shortcut_dialog(page: Page, commands: Sequence[Command]) -> Command:
     """Return the command that shows the sheet, which a key of the browser (keyboard.js) asks for, too."""
 
     def show() -> None:
         dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
         with dialog.modal:
-            HtmlBlock(page.gui, shortcut_table(commands))
+            HtmlBlock(page.gui, shortcut_table(commands) + documentation_link())
         dialog.close_button("Close")
 
     page.on_pick("keys", lambda _: show())
@@ -419,7 +430,7 @@ def glossary_command(page: Page) -> Command:
     def show() -> None:
         dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")
         with dialog.modal:
-            HtmlBlock(page.gui, glossary_html())
+            HtmlBlock(page.gui, glossary_html() + documentation_link())
         dialog.close_button("Close")
 
     return Command("Glossary", None, show, group="Page")
