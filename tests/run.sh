@@ -4,6 +4,7 @@
 #   bash tests/run.sh          lint, types, layers and all tests, those in the browser too
 #   bash tests/run.sh fast     lint, types, layers and the fast tests
 #   bash tests/run.sh lint     lint, types and layers
+#   bash tests/run.sh docs     the site of the documentation, with its examples run; a warning ends it
 #   bash tests/run.sh campaigns [FILE ...]   all cases of the long campaigns, and their table in the documentation
 #   bash tests/run.sh bench    the quick run of every benchmark
 #   bash tests/run.sh pythons  install the wheel on every Python that it is for and that is here, and try it
@@ -13,8 +14,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 what="${1:-all}"
-case "$what" in all | fast | lint | campaigns | bench | setup | pythons) ;; *)
-  echo "There is no part '$what': choose all, fast, lint, campaigns, bench, setup or pythons." >&2
+case "$what" in all | fast | lint | docs | campaigns | bench | setup | pythons) ;; *)
+  echo "There is no part '$what': choose all, fast, lint, docs, campaigns, bench, setup or pythons." >&2
   exit 2
   ;;
 esac
@@ -250,6 +251,7 @@ if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
   fi
   step "Types" end_types
 fi
+if [ "$what" = all ] || [ "$what" = docs ]; then step "Documentation" "$bin/wafer-viewer" docs --build; fi
 if [ "$what" = all ]; then
   step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
   step "Browser tests" run_tests -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser

@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.support.documentation import code_block
+from tests.support.paths import ROOT
 from tests.support.plugin_packages import run_with, write_package
 from tests.support.surfaces import surface_of
 from wafer_viewer.store.formats.npz_file import write_npz
@@ -59,7 +59,7 @@ print(msgspec.json.encode(dict(
 
 @pytest.fixture
 def package(tmp_path):
-    source = code_block("how-to/extend.md", '"""Median height')
+    source = (ROOT / "assets/examples/09_measuring_tool.py").read_text()
     return write_package(tmp_path / "site", "median_height", source, {"measuring_tools": "mh = median_height:TOOL"})
 
 
