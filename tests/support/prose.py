@@ -29,5 +29,5 @@ def sentences(page: str) -> list[str]:
     for paragraph in paragraphs(page):
         for known in ABBREVIATIONS:
             paragraph = paragraph.replace(known, known.replace(".", ""))
-        found += re.split(r"(?<=[.!?:;])\s+(?=[A-Z0-9*(])", paragraph)
+        found += re.split(r"(?<=[.!?:;])\*{0,2}\s+(?=[A-Z0-9*(])", paragraph)
     return [sentence for sentence in found if re.search(r"\w", sentence)]
