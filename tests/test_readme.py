@@ -19,15 +19,25 @@ from wafer_viewer.rigs.virtual.scenes.wafer import DEPTH_UM
 BLOCK = re.compile(r"^( *)```(console|python)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 """A block of code, in a numbered list too."""
 
-LINK = re.compile(r"\]\(([^)#:]+)\)")
-MOST_WORDS = 900
+LINK = re.compile(r"\]\(([^):]+)\)")
+MOST_WORDS = 700
+DOCUMENTATION = ROOT / "assets/docs"
 CONTRIBUTING = ROOT / ".github/CONTRIBUTING.md"
 
 
+def linked(page: Path) -> list[Path]:
+    """The pages that a page links, in their order."""
+    links = dict.fromkeys(link.partition("#")[0] for link in LINK.findall(page.read_text()))
+    found = [(page.parent / link).resolve() for link in links if link.endswith(".md")]
+    return [page for page in found if page.exists()]
+
+
 def pages() -> list[Path]:
-    """The README and the pages that it links, in the order of its columns."""
-    linked = dict.fromkeys(LINK.findall((ROOT / "README.md").read_text()))
-    return [ROOT / "README.md", *(ROOT / link for link in linked if link.endswith(".md"))]
+    """The README and every page that can be reached from it, in the order in which a reader comes to them."""
+    found = [ROOT / "README.md"]
+    for page in found:
+        found += [link for link in linked(page) if link not in found]
+    return found
 
 
 def examples(page: Path) -> list[tuple[str, str]]:
@@ -36,12 +46,44 @@ def examples(page: Path) -> list[tuple[str, str]]:
 
 def test_the_readme_is_short_and_every_page_is_linked():
     assert len((ROOT / "README.md").read_text().split()) <= MOST_WORDS
-    assert sorted(pages()) == sorted([ROOT / "README.md", CONTRIBUTING, *(ROOT / "assets/docs").rglob("*.md")])
+    of_github = [ROOT / ".github" / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")]
+    assert sorted(pages()) == sorted([ROOT / "README.md", *of_github, *DOCUMENTATION.rglob("*.md")])
+
+
+def test_each_folder_has_an_index_that_lists_all_of_its_pages():
+    folders = sorted({page.parent for page in DOCUMENTATION.rglob("*.md")} - {DOCUMENTATION})
+    assert [folder.name for folder in folders] == ["explanation", "how-to", "reference", "tutorials", "validation"]
+    for folder in folders:
+        index = folder / "index.md"
+        assert sorted(linked(index), key=str)
+        missing = {page for page in folder.glob("*.md") if page != index} - set(linked(index))
+        assert not missing, f"{index} does not link {missing}"
+
+
+WORDS_OF_A_SENTENCE = 25
+MADE_BY_PROGRAM = ("glossary.md", "campaigns.md")
+
+
+def test_a_page_begins_with_what_it_is_for_and_ends_with_what_to_do_next():
+    for page in DOCUMENTATION.rglob("*.md"):
+        if page.name in MADE_BY_PROGRAM:
+            continue
+        title, first, *_ = page.read_text().split("\n\n")
+        assert title.startswith("# "), page
+        assert first[0].isalpha() or first[0] in "*[`", f"{page} begins with no sentence"
+        assert re.search(r"^## Next\n\n.*\]\(", page.read_text(), re.MULTILINE | re.DOTALL), f"{page} has no next step"
+
+
+def test_the_list_of_the_api_has_every_public_name_once():
+    public = re.findall(r" as (\w+)$", (ROOT / "wafer_viewer/__init__.pyi").read_text(), re.MULTILINE)
+    listed = re.findall(r"^   (\w+)$", (DOCUMENTATION / "reference/api.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(set(public) - {"__version__"})
 
 
 def test_every_link_of_the_documentation_leads_to_a_file():
     for page in pages():
-        broken = [link for link in LINK.findall(page.read_text()) if not (page.parent / link).exists()]
+        paths = [link.partition("#")[0] for link in LINK.findall(page.read_text())]
+        broken = [path for path in paths if path and not (page.parent / path).exists()]
         assert not broken, f"{page}: {broken}"
 
 
@@ -54,7 +96,7 @@ def test_every_path_that_the_documentation_names_is_there():
 
 def test_the_page_on_extending_names_files_of_the_package():
     text = (ROOT / "assets/docs/how-to/extend.md").read_text()
-    paths = [path for path in re.findall(r"`(\w+/[\w./]+\.py)`", text) if not path.startswith("tests/")]
+    paths = [path for path in re.findall(r"`(\w+/[\w./]+\.py)`", text) if not path.startswith(("assets/", "tests/"))]
     assert len(paths) >= 12
     assert not [path for path in paths if not (ROOT / "wafer_viewer" / path).exists()]
 
