@@ -27,7 +27,7 @@ from wafer_viewer.session.session import Session  # noqa: E402
 PATIENCE_S = 600.0
 WINDOW = {"width": 1600, "height": 1000}
 LOOK_EVERY_MS = 5_000
-"""The picture is taken when it has not changed for as long: a browser without a graphics card draws tiles for seconds."""
+"""The picture is taken when it has not changed for as long: without a graphics card, tiles are drawn for seconds."""
 COLOURS = 256
 
 
@@ -51,7 +51,7 @@ def photograph(address: str) -> bytes:
         page.locator(".wv-title").first.wait_for()
         page.keyboard.press("Escape")  # ends the notes of the tour
         go_to(page, "Surface")
-        page.locator(".wv-legend-card").wait_for(timeout=1000 * PATIENCE_S)
+        page.locator(".wv-glass", has_text="not measured").wait_for(timeout=1000 * PATIENCE_S)
         page.get_by_text("Iso", exact=True).click()
         page.mouse.move(WINDOW["width"] / 2, WINDOW["height"] - 5)
         before = b""
