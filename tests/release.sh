@@ -48,7 +48,7 @@ for name in ${PYTHONS:-$(pythons)}; do
   "$name" -m venv "$folder/env"
   "$folder/env/bin/pip" install -qq --disable-pip-version-check -c assets/constraints.txt "$wheel"
   cp tests/smoke.py "$folder/smoke.py"
-  (cd "$folder" && env/bin/python smoke.py --site)
+  (unset PYTHONPATH && cd "$folder" && env/bin/python smoke.py --site)
   echo "$(du -sm "$folder/env" | cut -f1) MB installed"
   rm -rf "$folder/env"
 done
