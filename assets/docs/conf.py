@@ -35,6 +35,7 @@ extensions = [
 exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 nitpicky = True
+smartquotes = False  # "--host" would become a dash
 # Types of other packages: their inventories are not at hand when the site is built offline.
 nitpick_ignore_regex = [("py:.*", r"(?!wafer_viewer\.).*"), ("py:.*", r"wafer_viewer\.\w+\..*")]
 suppress_warnings = ["config.cache"]
@@ -87,6 +88,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
+html_show_search_summary = False  # it fetches pages, which neither a file nor the policy of the page allows
 html_theme_options = {
     "navbar_start": ["navbar-logo"],
     "navbar_end": ["theme-switcher"],
