@@ -6,12 +6,14 @@ import re
 import runpy
 import shlex
 import shutil
+import tomllib
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
 import yaml
 
+import wafer_viewer
 from tests.support.command_line import viewer
 from tests.support.paths import ROOT
 from tests.support.prose import sentences
@@ -23,7 +25,7 @@ BLOCK = re.compile(r"^( *)```(console|python)\n(.*?)^\1```", re.MULTILINE | re.D
 LINK = re.compile(r"\]\(([^):]+)\)")
 MOST_WORDS = 700
 DOCUMENTATION = ROOT / "assets/docs"
-CONTRIBUTING = ROOT / ".github/CONTRIBUTING.md"
+CONTRIBUTING, CHANGELOG = ROOT / ".github/CONTRIBUTING.md", ROOT / ".github/CHANGELOG.md"
 
 
 def linked(page: Path) -> list[Path]:
@@ -214,3 +216,12 @@ def test_u_of_the_readme_covers_the_truth_on_several_scans(folder, capsys, scan)
         run_example(kind, body)
     ((height, u),) = printed_steps(capsys.readouterr().out)
     assert abs(height - DEPTH_UM) <= u <= 0.3
+
+
+def test_files_of_a_release_name_the_version_of_the_package():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert version == wafer_viewer.__version__
+    assert yaml.safe_load((ROOT / ".github/CITATION.cff").read_text())["version"] == version
+    assert re.search(rf"^## {re.escape(version)} \(\d{{4}}-\d\d-\d\d\)$", CHANGELOG.read_text(), re.MULTILINE)
+    copied = re.findall(r"^COPY (.+) \S+$", (ROOT / ".github/Containerfile").read_text(), re.MULTILINE)
+    assert not [path for line in copied for path in line.split() if not (ROOT / path).exists()]
