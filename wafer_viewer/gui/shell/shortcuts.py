@@ -390,9 +390,8 @@ def documentation_link() -> Markup:
     """Return the link to the documentation on the page's own server, or how to get it."""
     if site_folder() is None:
         return Markup("<p>The documentation is not built: <code>wafer-viewer docs --build</code> in a checkout.</p>")
-    return Markup('<p><a href="{}{}" target="_blank" rel="noopener">Open the documentation</a></p>').format(
-        DOCUMENTATION, FIRST_PAGE
-    )
+    link = Markup('<a class="wv-docs" href="{}{}" target="_blank" rel="noopener">Open the documentation</a>')
+    return link.format(DOCUMENTATION, FIRST_PAGE)
 
 
 def add_shortcut_dialog(page: Page, commands: Sequence[Command]) -> Command:
