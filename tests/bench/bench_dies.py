@@ -1,11 +1,13 @@
 """How often the dies of a patterned wafer are found, how exactly, and whether what is no lattice is refused.
 
     python tests/bench/bench_dies.py [--quick] [--wafers N] [--seed N] [--only WORD] [--optics N] [--products N]
+        [--given]
 
 Made-up wafers thrown with dice, 600 x 720 pixels, some 50 dies: heights and picture with noise, bow of 10 um and 2 %
 unmeasured. Right is a lattice whose dies lie within half a pixel everywhere on the surface, or a refusal where there is
 none; wrong is any other lattice. --products N: as many wafers of tests/bench/product_wafers.py from the seed on, right
-where every whole die is found with its size. --optics N: as many wafers of tests/truth as well, seen through the
+where every whole die is found with its size. --given: with the pitches and the size of the dies known, as
+typed with half a percent of error. --optics N: as many wafers of tests/truth as well, seen through the
 virtual optics, dies half a pixel off their places.
 """
 
@@ -24,7 +26,7 @@ from tests.bench.product_wafers import judged, product
 from tests.support.patterned_surface import Wafer
 from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 
@@ -44,7 +46,7 @@ class Outcome:
 
 
 def main() -> None:
-    asked = read_options(__doc__, wafers=10, seed=1, only="", optics=NUMBER, products=NUMBER)
+    asked = read_options(__doc__, wafers=10, seed=1, only="", optics=NUMBER, products=NUMBER, given=False)
     n, step = (1, 2) if asked.quick else (asked.wafers, 1)
     rows = [
         [name, *_row([_outcome(thrown, dice) for dice in _dice(asked.seed, name, n)], thrown in NO_LATTICES.values())]
@@ -54,7 +56,7 @@ def main() -> None:
     show(f"Dies found, {n} wafers of each kind from seed {asked.seed}", HEADER, rows)
     if asked.products:
         begun = time.process_time()
-        words = [_product(asked.seed + k) for k in range(asked.products)]
+        words = [_product(asked.seed + k, asked.given) for k in range(asked.products)]
         rows = [
             [kind, *_counted([word for one, word in words if one == kind])] for kind in sorted({k for k, _ in words})
         ]
@@ -69,11 +71,16 @@ def main() -> None:
         show("Dies found through the virtual optics", HEADER, [["9 x 8 dies, 0.5 px off", *_row(seen, False, SEEN_PX)]])
 
 
-def _product(seed: int) -> tuple[str, str]:
+def _product(seed: int, given: bool = False) -> tuple[str, str]:
     """Return the kind of array of a seed, and what came of it."""
     drawn = product(seed)
+    typed = np.random.default_rng((seed, 5)).uniform(0.995, 1.005, 2)
+    grid, pitch = drawn.grid, (drawn.grid.pitch_x_um * typed[0], drawn.grid.pitch_y_um * typed[1])
+    street = grid.street_x_um * drawn.shown[0], grid.street_y_um * drawn.shown[1]
+    sides = {"width_um": pitch[0] - street[0], "height_um": pitch[1] - street[1]}
+    size = DieSize(pitch_x_um=pitch[0], pitch_y_um=pitch[1], **sides) if given else None
     try:
-        right, why = judged(find_dies(drawn.surface), drawn)
+        right, why = judged(find_dies(drawn.surface, size=size), drawn)
     except MeasureError:
         return drawn.kind, "refused"
     if not right:

@@ -48,9 +48,13 @@ def inspect(page: Page, session: Session, name: str) -> None:
 
 def test_a_single_die_is_compared_with_the_form_and_a_bare_surface_says_why_once(page: Page, session: Session):
     inspect(page, session, "one-die.wafer")
+    session.wait_until(lambda now: now.inspection.dies_missing, READY_S)
+    assert session.snapshot.inspection.inspection is None
+    page.get_by_text("Compare with the fitted form").click(timeout=WAIT_MS)
     found = session.wait_until(lambda now: now.inspection.inspection is not None, READY_S).inspection.inspection
     assert found.reference == "form"
-    assert found.notes[0].endswith(": compared with the fitted form.")
+    assert found.notes[0].startswith("Only what stands out of the fitted form is seen")
+    expect(page.get_by_text("inspected, compared with the fitted form")).to_have_count(1, timeout=WAIT_MS)
     assert found.defects[0].kind == "residue"
     expect(page.get_by_text(found.notes[0])).to_have_count(1, timeout=WAIT_MS)
     expect(page.get_by_text("Inspection failed")).to_have_count(0)

@@ -53,16 +53,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("make", "says"), WITHOUT_DIES.values(), ids=WITHOUT_DIES.keys())
-def test_without_dies_the_fitted_form_is_the_reference(folder, capsys, make, says):
+def test_without_dies_the_search_is_refused_and_the_fitted_form_has_to_be_asked_for(folder, capsys, make, says):
     surface, path = make(), folder / "without.npz"
     with pytest.raises(DiesNotFound, match=says) as printed:
         find_dies(surface)
     assert str(printed.value).count(". ") <= 1
     write_npz(surface, path)
-    assert main(["measure", "defects", str(path)]) in (0, 1)
-    found = json.loads(capsys.readouterr().out)["inspection"]
-    assert found["reference"] == "form"
-    assert found["notes"][0].endswith("compared with the fitted form.")
+    assert main(["measure", "defects", str(path)]) == 2
+    refused = capsys.readouterr()
+    assert (refused.out, refused.err.count("\n")) == ("", 1)
+    assert str(printed.value) in refused.err
+    assert "--against form" in refused.err
+    assert main(["measure", "defects", str(path), "--against", "form"]) in (0, 1)
+    asked = capsys.readouterr()
+    found = json.loads(asked.out)
+    assert found["inspection"]["reference"] == "form"
+    assert found["inspection"]["notes"][0].startswith("Only what stands out of the fitted form is seen")
+    assert next(iter(found)) == "result"
+    assert found["result"] in asked.err
+    assert " inspected, compared with the fitted form: " in found["result"]
 
 
 @pytest.mark.slow

@@ -103,12 +103,17 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
 
 @pytest.mark.slow
 def test_dies_that_are_not_found_are_never_within_the_limits(folder: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["measure", "defects", str(folder / "plain.npz"), "--max-per-die", "0"]) == 1
-    verdict = json.loads(capsys.readouterr().out)["verdict"]
-    assert (verdict["word"], verdict["within"]) == ("no verdict", False)
-    assert "give the pitch and a corner of the dies" in verdict["why"][0]
-    assert main(["measure", "defects", str(folder / "plain.npz"), "--max-per-mm2", "1000"]) == 0
+    call = ["measure", "defects", str(folder / "plain.npz")]
+    assert main([*call, "--max-per-die", "0"]) == 2
+    assert main([*call, "--against", "form", "--max-per-die", "0"]) == 2
+    refused = capsys.readouterr()
+    assert refused.out == ""
+    assert "No die is known, so defects per die cannot be counted: give the pitch" in refused.err
+    assert main([*call, "--against", "form", "--max-per-mm2", "1000"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"]["word"] == "pass"
+    assert main([*call, "--against", "form", *GIVEN, "--as-given", "--max-per-die", "0"]) == 1
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert (verdict["word"], len(verdict["failing"])) == ("fail", 1)
 
 
 @pytest.mark.slow
@@ -130,8 +135,8 @@ def test_areas_that_a_recipe_names_are_left_out_and_reported(
 @pytest.mark.parametrize(
     ("flags", "sentence"),
     [
-        (("--pitch-um", "200", "150"), "give both, or neither"),
-        (("--size-um", "200", "150"), "go with their pitch and origin"),
+        (("--origin-um", "200", "150"), "go with their pitch: give --pitch-um too"),
+        (("--size-um", "200", "150"), "go with their pitch: give --pitch-um too"),
         (("--sensitivity", "3"), "sensitivity is 3.0: it must be between 0 and 1"),
         (("--recipe", "gone.toml"), "gone.toml cannot be read"),
         (("--golden", "gone.golden.npz"), "gone.golden.npz does not exist"),

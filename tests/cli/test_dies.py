@@ -9,10 +9,13 @@ import pytest
 from tests.support.patterned_surface import Wafer, made
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.tables.klarf import write_klarf
 
 GIVEN = ("--pitch-um", 201.3, 147.7, "--origin-um", 31.7, 22.9, "--size-um", 173, 121)
 
@@ -39,6 +42,18 @@ def test_dies_are_found_or_taken_as_given(surface, capsys):
     assert [die["name"] for die in given["dies"]][:2] == ["0,0", "1,0"], "die 0,0 is the one whose corner was given"
     assert found["simulated"]
     assert found["off"] is given["off"] is None
+
+
+def test_dies_are_found_by_their_pitch_and_size_alone(surface, tmp_path, capsys):
+    found = dies_of(surface, capsys, "--pitch-um", 200.5, 148.5, "--size-um", 172.2, 121.8)["grid"]
+    assert (found["by"], found["x0_um"]) == ("found", pytest.approx(31.7, abs=1.0))
+    assert found["pitch_x_um"] == pytest.approx(Wafer().pitch_x_um, rel=5e-5)
+    assert found["width_um"] == pytest.approx(172.2), "dies keep a known size"
+    klarf = tmp_path / "other.klarf"
+    write_klarf(Inspection(grid=replace(Wafer().grid, cols=2, rows=2)), klarf, Sample())
+    assert dies_of(surface, capsys, "--job", klarf)["grid"]["pitch_y_um"] == pytest.approx(147.7, rel=5e-5)
+    assert main(["measure", "dies", str(surface), "--pitch-um", "330", "260"]) == 2
+    assert "look alike, so they are no whole dies" in capsys.readouterr().err
 
 
 def test_given_dies_are_overlaid_on_those_seen(surface, capsys):
@@ -68,9 +83,10 @@ def test_the_dies_of_a_job_keep_its_names(surface, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("flags", "sentence"),
     [
-        (GIVEN[:3], "Dies are given by their pitch and the corner of one of them: give both, or neither."),
-        (("--angle-deg", 1), "The size and the angle of dies go with their pitch and origin: give these too."),
-        ((*GIVEN, "--job", "plan.toml"), "Dies are given by a job or by their pitch and origin"),
+        (GIVEN[3:], "The size and the corner of dies go with their pitch: give --pitch-um too."),
+        ((*GIVEN[:3], "--angle-deg", 1), "The angle of dies, and --as-given, go with their corner: give --origin-um"),
+        ((*GIVEN, "--job", "plan.toml"), "Dies are given by a file or by their pitch: leave --job or --pitch-um out."),
+        ((*GIVEN[:3], "--size-um", 250, 121), "DieSize.width_um is 250.0: it must be at most the pitch 201.3 um."),
         (("--job", "gone.toml"), "gone.toml cannot be read, it does not exist: check the path."),
         ((*GIVEN[:4], 100, *GIVEN[5:]), "um off those that the surface shows, over a quarter of their pitch"),
         ((*GIVEN[:7], 250, 121), "DieGrid.width_um is 250.0: it must be at most the pitch 201.3 um."),

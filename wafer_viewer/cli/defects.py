@@ -15,7 +15,15 @@ from tyro.conf import arg
 from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, require_die_limit, verdict_of
+from wafer_viewer.model.inspection.defect import (
+    Against,
+    DefectLimits,
+    DefectRecipe,
+    Inspection,
+    headline,
+    require_die_limit,
+    verdict_of,
+)
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover, compared, overlay_klarf
 from wafer_viewer.session.inspection.inspection_job import GivenDies, Wafer, dies_on, inspected, wafer_of
@@ -34,7 +42,7 @@ def measure_defects(
     src: Source,
     recipe: File = None,
     sensitivity: Annotated[float | None, arg(metavar="0..1")] = None,
-    against: Literal["dies", "form"] = "dies",
+    against: Against = "dies",
     golden: File = None,
     save_golden: Annotated[Path | None, arg(metavar="FOLDER/NAME")] = None,
     klarf: File = None,
@@ -58,15 +66,16 @@ def measure_defects(
 ) -> int:
     """The defects of a patterned wafer, each with size, height and class, as JSON; dies not scanned are named.
 
-    Status 0: within the limits; 1: any other verdict, also where dies were not found, or not or only partly scanned, or
-    where a file could not be written, which throws no result away;
-    2: bad input. What people judged a nuisance in the dataset does not count.
+    The first line, also on standard error, has the share that was inspected. Status 0: within the limits; 1: any other
+    verdict, also where dies were not or only partly scanned or compared, or where a file could not be written, which
+    throws no result away; 2: bad input, or dies that are not found. What people judged a nuisance in the dataset does
+    not count.
 
     Args:
         src: A NAME.wafer or a surface file.
         recipe: How defects are looked for, a TOML file; that kept for the product of a NAME.wafer by default.
         sensitivity: The dial: 0 finds only clear defects, 1 everything that may be one; the recipe's by default.
-        against: Compare dies with each other, or the surface with its fitted form.
+        against: Compare dies with each other, or the surface with its fitted form, which sees nothing of a pattern.
         golden: A NAME.golden.npz to compare with instead; shows what repeats in every die. The recipe's by default.
         save_golden: Keep the typical die of this wafer as the next version of NAME.
         klarf: Write a KLARF file.
@@ -78,11 +87,11 @@ def measure_defects(
         other: A KLARF of another tool: reports what both found and what only one of them found.
         max_per_die: Largest number of defects per die; the recipe's by default.
         max_per_mm2: Largest number of defects per inspected mm2; the recipe's by default.
-        pitch_um: From die to die along x and y; found by default.
+        pitch_um: From die to die along x and y; found by default. Without a corner dies are searched next to it.
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
-        size_um: Width and height of a die without its street; as large as the pitch by default.
-        angle_deg: How the dies are turned, anticlockwise.
-        job: The PLAN.toml whose dies these are; those of the dataset's own job by default.
+        size_um: Width and height of a die without its street; found, or with a corner as the pitch, by default.
+        angle_deg: How the dies are turned, anticlockwise; goes with the corner.
+        job: The PLAN.toml whose dies these are, or a KLARF for its pitch; those of the dataset's own job by default.
         as_given: Leave given dies where they were given; they are moved to where they are seen by default.
         result: Name of the reconstruction.
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
@@ -105,8 +114,10 @@ def measure_defects(
     files, faults = _files(wafer, inspection, wanted)
     files |= _keep_golden(wafer, inspection, given, save_golden)
     verdict = verdict_of(inspection)
-    summary = {"verdict": verdict, "files": files, "repeats": repeated_places(inspection), "inspection": inspection}
+    first = {"result": headline(inspection), "verdict": verdict, "files": files}
+    summary = first | {"repeats": repeated_places(inspection), "inspection": inspection}
     print_json(msgspec.to_builtins(summary | _beside(other, wafer, inspection)))
+    warn(headline(inspection))
     for fault in faults:
         warn(fault)
     return 0 if verdict.within and not faults else NOT_PASSED
@@ -218,11 +229,11 @@ def measure_dies(
 
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
-        pitch_um: From die to die along x and y; found on the surface where it is left out.
-        origin_um: The lower left corner of die 0,0; with --pitch-um.
-        size_um: Width and height of a die without its street; with --pitch-um. As large as the pitch by default.
-        angle_deg: How the lattice is turned, anticlockwise; with --pitch-um.
-        job: The PLAN.toml whose dies these are, instead.
+        pitch_um: From die to die along x and y; found by default. Without a corner dies are searched next to it.
+        origin_um: The lower left corner of die 0,0; goes with the pitch.
+        size_um: Width and height of a die without its street; found, or with a corner as the pitch, by default.
+        angle_deg: How the lattice is turned, anticlockwise; goes with the corner.
+        job: The PLAN.toml whose dies these are, or a KLARF for its pitch, instead.
         as_given: Leave given dies where they were given.
         evidence: What dies are found by: heights, the all-in-focus picture, or both.
         field: A field of the dataset; 0 is the stitched surface.

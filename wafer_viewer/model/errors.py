@@ -68,14 +68,7 @@ class MeasureError(WaferViewerError):
 
 
 class DiesNotFound(MeasureError):
-    """No lattice of dies was found on a surface.
-
-    brief: the reason in a few words, used as a note on a result that was compared without dies.
-    """
-
-    def __init__(self, message: str, brief: str = "No dies found") -> None:
-        super().__init__(message)
-        self.brief = brief
+    """No lattice of dies was found on a surface, or too few dies to compare them."""
 
 
 class ControlHeldError(WaferViewerError):

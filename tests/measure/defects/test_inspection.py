@@ -11,8 +11,8 @@ import pytest
 from tests.support.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
 from tests.support.surfaces import calibration, height_map
 from wafer_viewer.measure.defects.inspection import golden_of_surface, inspect
-from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.defect import Defect, DefectLimits, DefectRecipe, Inspection, verdict_of
+from wafer_viewer.model.errors import DiesNotFound, MeasureError
+from wafer_viewer.model.inspection.defect import Defect, DefectLimits, DefectRecipe, Inspection, headline, verdict_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.spec import replace
@@ -267,11 +267,27 @@ def test_a_die_that_a_job_names_is_a_defect_where_it_is_missing_at_the_rim() -> 
     assert [d.die for d in found.found] == ["0,4"]
 
 
-def test_defect_has_its_die_where_few_dies_are_compared_with_the_form() -> None:
+def test_few_dies_are_refused_and_keep_their_defects_where_the_form_is_asked_for() -> None:
     four = wafer(3, (2, 2), (120, 140), (Planted("bump", 200.0, 240.0, 30, 100),))
-    inspection = inspect(four.surface, four.grid, DULL)
+    with pytest.raises(DiesNotFound, match="Only 4 of 4 dies are measured in their middle, and a typical die takes 5"):
+        inspect(four.surface, four.grid, DULL)
+    inspection = inspect(four.surface, four.grid, DULL, against="form")
     bump = at(inspection, four.planted[0])
     assert (inspection.reference, bump.die) == ("form", "1,0")
     assert {die.name: die.defects for die in inspection.dies} == {"0,0": 0, "1,0": 1, "0,1": 0, "1,1": 0}
     verdict = verdict_of(inspection, DefectLimits(max_per_die=0))
     assert (verdict.word, verdict.failing) == ("fail", ("1,0",))
+
+
+def test_what_was_not_compared_or_hardly_inspected_is_never_within_limits() -> None:
+    four = wafer(3, (2, 2), (120, 140))
+    inspection = inspect(four.surface, four.grid, DULL, against="form")
+    limits = DefectLimits(max_per_die=9)
+    assert verdict_of(inspection, limits).word == "pass"
+    assert headline(inspection, limits).endswith("compared with the fitted form: 0 defects, pass.")
+    skipped = replace(inspection, dies=tuple(replace(die, defects=None) for die in inspection.dies[:1]))
+    assert verdict_of(skipped, limits).not_inspected == ("0,0",)
+    hardly = replace(inspection, unmeasured_mm2=9 * inspection.inspected_mm2)
+    verdict = verdict_of(hardly, limits)
+    assert (verdict.word, round(verdict.inspected_fraction, 2)) == ("no verdict", 0.1)
+    assert headline(hardly, limits).startswith("10 % of ")

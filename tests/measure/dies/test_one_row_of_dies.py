@@ -51,4 +51,6 @@ def test_one_row_or_column_of_dies_is_solved_or_refused(seed):
     along = (grid.pitch_x_um, wafer.pitch_x_um) if wafer.cols > wafer.rows else (grid.pitch_y_um, wafer.pitch_y_um)
     across = (grid.height_um, wafer.height_um) if wafer.cols > wafer.rows else (grid.width_um, wafer.width_um)
     assert along[0] == pytest.approx(along[1], abs=1.0)
+    n_dies = round((max(wafer.cols, wafer.rows) * wafer.pixel_um - GROUND_UM) / along[1])
+    assert sorted((grid.cols, grid.rows)) == [1, n_dies], "all dies of the row, and none beside it"
     assert across[0] == pytest.approx(across[1], abs=4.0)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.datasets.compared_datasets import two_datasets
 from tests.support.datasets.inspections import defect, inspection
-from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, DiesNotFound, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
@@ -197,7 +197,9 @@ def test_a_bump_on_a_surface_is_found_by_the_work_and_belongs_to_its_surface(pai
 
 
 @pytest.mark.slow
-def test_a_surface_on_which_nothing_repeats_is_compared_with_the_fitted_form(pair):
-    found = inspect_dataset(pair[1], "default", DefectRecipe())
+def test_a_surface_without_dies_is_refused_and_compared_with_the_form_if_asked(pair):
+    with pytest.raises(DiesNotFound, match="give pitch, origin and size of the dies instead"):
+        inspect_dataset(pair[1], "default", DefectRecipe())
+    found = inspect_dataset(pair[1], "default", DefectRecipe(), against="form")
     assert found.reference == "form"
-    assert "compared with the fitted form" in found.notes[0]
+    assert found.notes[0].startswith("Only what stands out of the fitted form is seen")

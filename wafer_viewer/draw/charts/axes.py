@@ -22,6 +22,10 @@ Shape = Callable[[float], str]
 """Function that returns the symbol around (0, 0) for half its width in px."""
 
 
+def _scaled(path: str, r: float) -> Markup:
+    return Markup('<path transform="scale({:g})" d="{}"/>').format(r, path)
+
+
 def _path(d: str) -> Markup:
     return Markup('<path d="{}"/>').format(d)
 
@@ -42,6 +46,10 @@ SHAPES: dict[str, Shape] = {
     "slant": lambda r: _path(
         f"M{-1.3 * r:g} {0.8 * r:g}L{-0.5 * r:g} {-0.8 * r:g}H{1.3 * r:g}L{0.5 * r:g} {0.8 * r:g}Z"
     ),
+    "arc": lambda r: _scaled("M-1.3 .7Q0 -1.9 1.3 .7Q0 -.5 -1.3 .7Z", r),
+    "half": lambda r: _scaled("M-1 -1H1V1Z", r),
+    "frame": lambda r: _scaled("M-1 -1H1V1H-1ZM-.4 -.4V.4H.4V-.4Z", r),
+    "link": lambda r: _scaled("M-1 -1H-.4V-.3H.4V-1H1V1H.4V.3H-.4V1H-1Z", r),
     "corner": lambda r: _path(f"M{-r:g} {r:g}V{-r:g}H{0.1 * r:g}V{-0.1 * r:g}H{r:g}V{r:g}Z"),
     "cross": lambda r: Markup(
         '<path d="M{radius:g} {radius:g}L{radius2:g} {radius2:g}M{radius:g} {radius2:g}L{radius2:g} {radius:g}" '

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defects.die_form import DieForm
 from wafer_viewer.measure.defects.golden_die import SPREAD, ReferenceDie, die_shift, evenly_spaced, robust_sigma
 from wafer_viewer.measure.defects.matched_filters import contrast_of, is_plain, spectrum_of, subtract_local_mean
 from wafer_viewer.measure.defects.noise_model import NoiseModel, kinds_of, noise_of
@@ -35,6 +36,8 @@ LEAST_NOISE_CELLS = 5
 """Number of cells for the noise estimate whatever their size."""
 LEAST_MEASURED = 0.02
 """Smallest measured fraction of a cell for its comparison."""
+LEAST_KNOWN = 0.5
+"""Smallest scanned fraction of the cell of a die for its comparison."""
 
 DIFFERS_SIGMA = 5
 """Deviation from the reference, in spreads of its position, from which a pixel differs."""
@@ -57,13 +60,12 @@ class ComparisonWork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellResult:
-    """Result of one cell: pieces, histogram of peaks, tilt and offset, compared and missing pixels."""
+    """Result of one cell: pieces, histogram of peaks, form of the die, compared and missing pixels."""
 
     place: Place
     pieces: list[DefectPiece] = field(default_factory=list[DefectPiece])
     peaks: NDArray[np.int64] = field(default_factory=new_counts)
-    tilt: tuple[float, float] = (0.0, 0.0)
-    offset_um: float = 0.0
+    form: DieForm = DieForm()
     compared_px: int = 0
     missing_px: int = 0
     differs_fraction: float = 0.0
@@ -117,11 +119,14 @@ def _residual(work: ComparisonWork, source: Read, place: Place) -> tuple[Residua
     cell = source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
     if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:
         return None
+    if work.on_dies and np.isfinite(cell[1]).mean() < LEAST_KNOWN:
+        return None
     excluded = work.excluded
     if not work.on_dies:
         z_um, excluded = over_levels(cell[0], work.source.levels_um)
         cell = z_um, subtract_local_mean(cell[1]) if work.recipe.evidence != "height" else cell[1]
-    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, excluded), shift
+    die = work.cells.die if work.on_dies else None
+    return residual_of(place, cell, work.golden, work.cells.pixel_um, die, excluded), shift
 
 
 def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseModel) -> CellResult:
@@ -137,8 +142,7 @@ def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseMo
         place,
         pieces,
         counts,
-        residual.tilt,
-        residual.offset_um,
+        residual.form,
         int(np.count_nonzero(np.isfinite(residual.z_um))),
         int(np.count_nonzero(residual.missing)),
         _differs(residual.z_um, work.golden.z_spread_um),

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
 from wafer_viewer.measure.defects.features import DefectOutline, Gathered, Mask, height_of, outline_of, shape_of
-from wafer_viewer.measure.defects.noise_model import NoiseModel
 from wafer_viewer.measure.defects.segmentation import DefectPiece, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.errors import MeasureError
@@ -34,7 +32,6 @@ from wafer_viewer.model.inspection.defect_classes import RULES, ClassRules, Cond
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 # ------------------------------------------------------------------------------------------------------------ repeaters
 
@@ -283,91 +280,22 @@ def _notes(reading: MeasurementContext, resolved: bool) -> tuple[str, ...]:
     return (SIZE_NOTE, *(() if resolved else (NOT_RESOLVED,)), *reading.not_in_budget())
 
 
-@dataclass(frozen=True, slots=True)
-class DieLevelParameters:
-    """Limits of defects of entire dies, and of repeating defects.
-
-    Parameters
-    ----------
-    far : float
-        Robust deviations from the other dies beyond which an entire die is a defect.
-    least_tilt : float
-        Smallest tilt, as the lift of the die's edge in deviations of its heights.
-    least_offset : float
-        Smallest offset of a die, in deviations of its heights.
-    least_offset_share : float
-        Smallest offset of a die, relative to the height of a missing one.
-    least_dies : int
-        Smallest number of dies for a comparison of them.
-    least_compared : float
-        Smallest compared area of a die, relative to the median, for its offset and tilt to be evaluated.
-    repeats_from : float
-        Fraction of the dies from which a defect at the same place in them repeats.
-    near_px : float, px
-        Distance within which two defects are at the same place.
-
-    Notes
-    -----
-    `tests/bench/bench_defects_truth.py` plants such defects.
-    """
-
-    far: float = 8.0
-    least_tilt: float = 6.0
-    least_offset: float = 6
-    least_offset_share: float = 0.25
-    least_dies: int = 4
-    least_compared: float = 0.5
-    repeats_from: float = 0.5
-    near_px: float = 6.0
-
-
-DIE_LEVEL = DieLevelParameters()
-
-
-def whole_die_defects(
-    results: Sequence[CellResult], work: ComparisonWork, reading: MeasurementContext, noise: NoiseModel
-) -> dict[str, Defect]:
-    """Return defects of entire dies by die name: those at another height or tilt than the others."""
-    measured = _measured_enough(results)
-    if len(measured) < DIE_LEVEL.least_dies:
-        return {}
-    offsets = np.array([result.offset_um for result in measured])
-    tilts = np.array([result.tilt for result in measured])
-    noise_um = float(np.nanmedian(work.golden.z_spread_um))
-    half_um = min(work.cells.grid.width_um, work.cells.grid.height_um) / 2
-    offset_off, offset_limit = _off(offsets, DIE_LEVEL.least_offset * noise_um)
-    tilt_off = np.hypot(*(tilts - np.median(tilts, axis=0)).T)
-    tilt_limit = max(
-        DIE_LEVEL.far * MAD_TO_SIGMA * float(np.median(tilt_off)), DIE_LEVEL.least_tilt * noise_um / half_um
-    )
-    tilted = (tilt_off > tilt_limit) & (tilt_off * 1e3 > work.recipe.rules.tilt_mrad)
-    offset = (np.abs(offset_off) > offset_limit) & (
-        np.abs(offset_off) > work.recipe.rules.missing_height_um * DIE_LEVEL.least_offset_share
-    )
-    found: dict[str, Defect] = {}
-    for k in np.flatnonzero(tilted | offset):
-        score = max(abs(offset_off[k]) / max(offset_limit, 1e-9), tilt_off[k] / max(tilt_limit, 1e-12)) * DIE_LEVEL.far
-        height_um = float(offset_off[k]) if offset[k] else float(tilt_off[k]) * half_um
-        name = work.cells.grid.name(*measured[k].place)
-        found[name] = _whole(measured[k], work, reading, height_um, float(tilt_off[k]) * 1e3, float(score))
-    return found
-
-
-def _measured_enough(results: Sequence[CellResult]) -> list[CellResult]:
-    """Return the cells with enough compared pixels; a plane through a sliver of a die has a random tilt."""
-    compared = [result for result in results if result.compared_px]
-    usual = float(np.median([result.compared_px for result in compared])) if compared else 0.0
-    return [result for result in compared if result.compared_px >= DIE_LEVEL.least_compared * usual]
+REPEATS_FROM = 0.5
+"""Fraction of the dies from which a defect at the same place in them repeats."""
+NEAR_PX = 6.0
+"""Distance in pixels within which two defects are at the same place; `tests/bench/bench_defects_truth.py`."""
+LEAST_COMPARED = 4
+"""Smallest number of dies for a comparison of them."""
 
 
 def mark_repeaters(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:
     """Mark defects found at the same place in most dies as repeating; for stored golden dies only."""
-    if n_dies < DIE_LEVEL.least_dies:
+    if n_dies < LEAST_COMPARED:
         return tuple(defects)
     positions = [(d.in_die.x_um, d.in_die.y_um) if d.in_die is not None else (math.inf, math.inf) for d in defects]
     return tuple(
         replace(d, repeats=True)
-        if _dies_near(positions[k], positions, defects, pixel_um) >= DIE_LEVEL.repeats_from * n_dies
+        if _dies_near(positions[k], positions, defects, pixel_um) >= REPEATS_FROM * n_dies
         else d
         for k, d in enumerate(defects)
     )
@@ -378,59 +306,13 @@ def _dies_near(
 ) -> int:
     if math.isinf(position[0]):
         return 0
-    near = DIE_LEVEL.near_px * pixel_um
+    near = NEAR_PX * pixel_um
     return len(
         {
             d.die
             for d, (u, v) in zip(defects, positions, strict=True)
             if math.hypot(u - position[0], v - position[1]) <= near
         }
-    )
-
-
-def _off(values: np.ndarray, least: float) -> tuple[np.ndarray, float]:
-    off = values - np.median(values)
-    return off, max(DIE_LEVEL.far * MAD_TO_SIGMA * float(np.median(np.abs(off))), least)
-
-
-def _whole(
-    result: CellResult,
-    work: ComparisonWork,
-    reading: MeasurementContext,
-    height_um: float,
-    tilt_mrad: float,
-    score: float,
-) -> Defect:
-    grid = work.cells.grid
-    x_um, y_um = (float(a) for a in grid.to_stage(*result.place, grid.width_um / 2, grid.height_um / 2))
-    shape = DefectShape(
-        height_um=height_um,
-        mean_height_um=height_um,
-        score=score,
-        area_um2=grid.width_um * grid.height_um,
-        major_um=max(grid.width_um, grid.height_um),
-        minor_um=min(grid.width_um, grid.height_um),
-        die_fraction=1.0,
-        die_tilt_mrad=tilt_mrad,
-        pixel_um=work.cells.pixel_um,
-    )
-    found = classify(shape, work.recipe.rules)
-    return Defect(
-        **reading.result_fields("", 0, "The die differs from the others as a whole; its area is that of a die."),
-        center=Point(x_um=x_um, y_um=y_um),
-        outline=grid.outline(*result.place),
-        kind=found.kind,
-        reasons=found.reasons,
-        confidence=found.confidence,
-        die=grid.name(*result.place),
-        in_die=Point(x_um=grid.width_um / 2, y_um=grid.height_um / 2),
-        major=reading.length(shape.major_um, None),
-        minor=reading.length(shape.minor_um, None),
-        height=reading.length(height_um, None),
-        mean_height_um=height_um,
-        area=reading.quantity(shape.area_um2, "um2", None),
-        volume=reading.quantity(shape.area_um2 * height_um, "um3", None),
-        score=score,
     )
 
 

@@ -192,9 +192,8 @@ def golden_of(source: CellSource, cells: CellGrid, places: tuple[Place, ...]) ->
     poses = register_dies(source, cells, chosen)
     if len(poses) < REGISTRATION.least_dies:
         raise DiesNotFound(
-            f"Only {len(poses)} dies are measured in their middle: a golden die takes {REGISTRATION.least_dies}; "
-            "give a stored one, or compare with the fitted form.",
-            f"{len(poses)} dies measured in their middle, {REGISTRATION.least_dies} needed",
+            f"Only {len(poses)} of {len(places)} dies are measured in their middle, and a typical die takes "
+            f"{REGISTRATION.least_dies}: scan more, or compare with a stored golden die."
         )
     rows, cols = cells.shape
     layers = [np.full((rows, cols), np.nan, np.float32) for _ in range(4)]
@@ -222,9 +221,7 @@ def golden_die(golden: ReferenceDie, cells: CellGrid, dark: float, **metadata: s
 
     dark: as in `CellSource`; metadata: product, name, made_of and the like of the header.
     """
-    grid, (top, left) = cells.grid, cells.street
-    rows, cols = (round(n / cells.pixel_um) for n in (grid.height_um, grid.width_um))
-    part = slice(top, top + rows), slice(left, left + cols)
+    grid, part = cells.grid, cells.die
     sizes = {"pixel_um": cells.pixel_um, "width_um": grid.width_um, "height_um": grid.height_um}
     header = GoldenHeader(dies=max(1, golden.n_dies), **sizes, **metadata)  # pyright: ignore[reportArgumentType]
     lit = np.exp(golden.picture)

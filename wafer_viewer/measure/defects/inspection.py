@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 
 import numpy as np
@@ -22,9 +22,9 @@ from wafer_viewer.measure.defects.cell_comparison import (
     estimate_noise,
     estimate_plainness,
 )
-from wafer_viewer.measure.defects.defect_builder import defect_of, mark_repeaters, on_lattice, whole_die_defects
+from wafer_viewer.measure.defects.defect_builder import defect_of, mark_repeaters, on_lattice
+from wafer_viewer.measure.defects.die_level import die_forms, measured_die, whole_die_defects
 from wafer_viewer.measure.defects.golden_die import (
-    REGISTRATION,
     ReferenceDie,
     add_median_streets,
     golden_die,
@@ -38,9 +38,18 @@ from wafer_viewer.measure.defects.segmentation import merge_border_pieces
 from wafer_viewer.measure.defects.terraces import SEVERAL_LEVELS, TERRACES, terraced
 from wafer_viewer.measure.dies.die_cells import CellGrid, CellSource, Place, source_of
 from wafer_viewer.measure.dies.die_status import not_scanned_mm2, statuses, without_bare_rim
-from wafer_viewer.model.errors import DiesNotFound, MeasureError
-from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection, Reference
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.measure.dies.lattice_evidence import bounds_of
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import (
+    FORM_SEES,
+    Against,
+    Defect,
+    DefectRecipe,
+    Inspection,
+    Reference,
+    require_dies_for,
+)
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieMeasurement, DieStatus
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
@@ -90,6 +99,8 @@ def _within(low: float, high: float, n: int) -> slice:
 
 TILE_PX = 1024
 """Approximate largest side of a tile of a surface without a die grid, px."""
+BEYOND_STEPS = 32
+"""Sample points along each side of a cell for the part of it that lies beyond the surface."""
 MOST_DEFECTS = 5000
 """Largest number of defects of an inspection, the strongest ones."""
 OTHER_PRODUCT = 0.1
@@ -105,29 +116,30 @@ def inspect(
     recipe: DefectRecipe = DefectRecipe(),
     golden: GoldenDie | None = None,
     *,
+    against: Against = "dies",
     calibration_valid: bool = True,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
     rows_by: RowsBy | None = None,
-    no_dies: str = "No grid of dies",
 ) -> Inspection:
     """Inspect a surface for defects.
 
-    Each die is compared with the median die of the surface or with a stored golden die. Without dies, the surface is
-    compared with the fitted form.
+    Each die is compared with the median die of the surface or with a stored golden die. Without a grid, or if asked
+    for, the surface is compared with the fitted form.
 
     Parameters
     ----------
     surface : Mosaic
         The surface; heights are read from the layer that its recipe measures on.
     grid : DieGrid, optional
-        Die lattice, in stage um. Without one, or with fewer than five measured dies and no `golden`, the surface is
-        compared with the fitted form.
+        Die lattice, in stage um. Without one the surface is compared with the fitted form.
     recipe : DefectRecipe, optional
         Settings of the inspection, by default those of `DefectRecipe()`.
     golden : GoldenDie, optional
         A stored golden die to compare with instead of the median die, which also shows defects that repeat in every
         die. It takes a `grid`.
+    against : {"dies", "form"}, default "dies"
+        "form" compares with the fitted form also where a grid is given, which then places and counts the defects.
     calibration_valid : bool, default True
         False: lengths of defects have the status "uncalibrated" and no uncertainty, as without a calibration.
     progress : callable, optional
@@ -137,8 +149,6 @@ def inspect(
     rows_by : callable, optional
         Runner for the rows of dies: takes the work, the noise model and the rows, and yields the results in row order.
         By default this thread. The result does not depend on it.
-    no_dies : str, default "No grid of dies"
-        Reason for the missing grid, for the notes.
 
     Returns
     -------
@@ -148,10 +158,12 @@ def inspect(
 
     Raises
     ------
+    DiesNotFound
+        If fewer than five dies are measured and no `golden` is given: two or three dies have no typical one.
     MeasureError
-        If hardly anything is measured; the grid lies off the surface, or where the surface is not measured; a golden
-        die is given without a grid; the golden die is of another product, pixel size or die size, or most dies are not
-        like it; or the inspection was stopped.
+        If hardly anything is measured; the limits are of defects per die and no grid is given; the grid lies off the
+        surface, or where the surface is not measured; a golden die is given without a grid; the golden die is of
+        another product, pixel size or die size, or most dies are not like it; or the inspection was stopped.
 
     Notes
     -----
@@ -160,18 +172,21 @@ def inspect(
     that does not name its dies are not inspected. The areas that the recipe excludes apply only where dies are
     compared.
     """
+    require_dies_for(recipe.limits, grid is not None)
     reading = MeasurementContext.of(surface, None, calibration_valid)
     source = source_of(surface, reading.layer, recipe.form_order)
     dies = statuses(surface, grid) if grid is not None else ()
-    on_dies = without_bare_rim(grid, dies) if grid is not None else None
-    work, reference, notes = _work(source, on_dies, recipe, golden, no_dies)
+    on_dies = without_bare_rim(surface, grid, dies) if grid is not None and against == "dies" else None
+    work, reference, notes = _work(source, on_dies, recipe, golden)
     places = work.cells.grid.places
     noise = estimate_noise(work, places)
     rows = work.cells.side_by_side(places)
     with closing((rows_by or _one_by_one)(work, noise, rows)) as by_row:
         results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
     _require_likeness(results, golden)
-    whole_dies = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
+    missing = missing_dies(dies, work) if work.on_dies else set[Place]()
+    forms = die_forms(results, missing) if work.on_dies else {}
+    whole_dies = whole_die_defects(forms, missing, work, reading) if work.on_dies else {}
     defects = _defects(results, whole_dies, work, reading)
     if grid is not None and not work.on_dies:
         defects = on_lattice(defects, grid)
@@ -180,6 +195,8 @@ def inspect(
     notes = (*notes, *_of_the_rim(grid, on_dies), *notes_on(recipe.excluded, work.excluded, work.on_dies))
     simulated = surface.provenance.simulated or (golden is not None and golden.header.simulated)
     defects = tuple(replace(defect, simulated=simulated) for defect in defects)
+    measured = {work.cells.grid.name(*place): measured_die(form, reading) for place, form in forms.items()}
+    dies = _with_defects(dies, defects, work, results, measured)
     return _inspection(work, results, defects, reference, notes, reading, grid, dies, simulated)
 
 
@@ -222,13 +239,13 @@ def golden_of_surface(
     """
     reading = MeasurementContext.of(surface, None, True)
     source = source_of(surface, reading.layer, recipe.form_order)
-    cells = CellGrid.of(without_bare_rim(grid, statuses(surface, grid)), surface.pixel_um)
+    cells = CellGrid.of(without_bare_rim(surface, grid, statuses(surface, grid)), surface.pixel_um)
     metadata = {"product": recipe.product, "simulated": surface.provenance.simulated, **metadata}
     return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, source.dark, **metadata)
 
 
 def _work(
-    source: CellSource, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None, no_dies: str
+    source: CellSource, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None
 ) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
     """Return the comparison work, reference kind and notes.
 
@@ -236,6 +253,8 @@ def _work(
 
     Raises
     ------
+    DiesNotFound
+        If fewer than five dies are measured, and no golden die is given.
     MeasureError
         If a golden die is given without a lattice of dies.
     """
@@ -244,7 +263,7 @@ def _work(
             raise MeasureError(
                 "A golden die is compared die by die: say where the dies lie, or compare with the fitted form."
             )
-        return _by_form(source, recipe, no_dies)
+        return _by_form(source, recipe)
     cells = CellGrid.of(grid, source.surface.pixel_um)
     places, excluded = _on_surface(source, cells), exclusion_mask(recipe.excluded, cells)
     if golden is not None:
@@ -252,17 +271,10 @@ def _work(
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
         stored, notes = add_median_streets(ReferenceDie.stored(golden, cells, source.dark), source, cells, places)
         return ComparisonWork(source, cells, stored, recipe, True, excluded), "golden", notes
-    if len(places) < REGISTRATION.least_dies:
-        dies = "1 die" if len(places) == 1 else f"{len(places)} dies"
-        return _by_form(source, recipe, f"{dies} found, {REGISTRATION.least_dies} needed to compare die to die")
-    try:
-        median = golden_of(source, cells, places)
-    except DiesNotFound as few:
-        return _by_form(source, recipe, few.brief)
-    return ComparisonWork(source, cells, median, recipe, True, excluded), "dies", ()
+    return ComparisonWork(source, cells, golden_of(source, cells, places), recipe, True, excluded), "dies", ()
 
 
-def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
+def _by_form(source: CellSource, recipe: DefectRecipe) -> tuple[ComparisonWork, Reference, tuple[str, ...]]:
     """Return the work for tiles compared with the fitted form, and a plain image with its local mean."""
     surface = source.surface
     rows, cols = surface.shape
@@ -282,7 +294,7 @@ def _by_form(source: CellSource, recipe: DefectRecipe, why: str) -> tuple[Compar
     cells = CellGrid.of(tiles, surface.pixel_um)
     source = terraced(source, recipe.form_order)
     by = estimate_plainness(source, cells, tiles.places)
-    notes = [f"{why}: compared with the fitted form."]
+    notes = [FORM_SEES]
     if recipe.evidence != "height":
         notes.append(LOOKED_AT if by.plain else LEFT_OUT)
     if len(source.levels_um) > 1:
@@ -343,15 +355,21 @@ def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -
 def _defects(
     results: Sequence[CellResult], whole_dies: dict[str, Defect], work: ComparisonWork, reading: MeasurementContext
 ) -> tuple[Defect, ...]:
-    """Return defects numbered by descending score; a defect of an entire die replaces those on that die."""
+    """Return defects numbered by descending score; nothing else is said of a die that is missing."""
+    missing = {name for name, defect in whole_dies.items() if defect.kind == "missing die"}
     pieces = [
-        piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in whole_dies
+        piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in missing
     ]
     together = merge_border_pieces(pieces, work.cells.pixel_um)
     strongest = sorted(together, key=lambda group: -max(piece.score for piece in group))[:MOST_DEFECTS]
     single = [defect_of(group, work.cells, reading, work.recipe, work.on_dies) for group in strongest]
     ordered = sorted([*whole_dies.values(), *single], key=lambda d: -d.score)
     return tuple(replace(defect, number=n, name=f"Defect {n}") for n, defect in enumerate(ordered, 1))
+
+
+def missing_dies(dies: Sequence[DieStatus], work: ComparisonWork) -> set[Place]:
+    """Return the places of the compared lattice at which no die is seen."""
+    return {(die.col, die.row) for die in dies if die.state == "missing"}.intersection(work.cells.grid.places)
 
 
 def _inspection(
@@ -374,10 +392,10 @@ def _inspection(
         recipe=work.recipe,
         reference=reference,
         grid=grid,
-        dies=_with_defects(dies, defects, not work.on_dies or streets_measured(work.golden, work.cells)),
+        dies=tuple(dies),
         defects=defects,
         inspected_mm2=inspected_mm2,
-        unmeasured_mm2=sum(_missing_px(result, work.cells) for result in results) * mm2,
+        unmeasured_mm2=sum(_missing_px(result, work) for result in results) * mm2,
         not_scanned_mm2=not_scanned_mm2(reading.surface) if grid is None else 0.0,
         threshold_sigma=work.recipe.threshold_sigma,
         expected_false_per_mm2=counted.at(work.recipe.threshold_sigma),
@@ -389,12 +407,36 @@ def _inspection(
     )
 
 
-def _missing_px(result: CellResult, cells: CellGrid) -> int:
-    """Return the missing pixels of a cell: all of them if none was compared."""
-    return result.missing_px if result.compared_px else math.prod(cells.shape)
+def _missing_px(result: CellResult, work: ComparisonWork) -> float:
+    """Return the missing pixels of a cell, all of them if it was not compared.
+
+    What lies beyond the surface is missing only in a lattice that names its dies.
+    """
+    cells = work.cells
+    missing = result.missing_px if result.compared_px else math.prod(cells.shape)
+    if cells.grid.named:
+        return missing
+    steps = (np.arange(BEYOND_STEPS) + 0.5) / BEYOND_STEPS
+    x_um, y_um = cells.to_stage(result.place, steps[:, None] * cells.shape[0] - 0.5, steps * cells.shape[1] - 0.5)
+    low_x, low_y, high_x, high_y = bounds_of(work.source.surface)
+    inside = (x_um > low_x) & (x_um < high_x) & (y_um > low_y) & (y_um < high_y)
+    return max(0.0, missing - float((~inside).mean()) * math.prod(cells.shape))
 
 
-def _with_defects(dies: Sequence[DieStatus], defects: Sequence[Defect], streets: bool) -> tuple[DieStatus, ...]:
-    """Return die statuses with defect counts; streets: whether the streets were inspected."""
+def _with_defects(
+    dies: Sequence[DieStatus],
+    defects: Sequence[Defect],
+    work: ComparisonWork,
+    results: Sequence[CellResult],
+    measured: Mapping[str, DieMeasurement],
+) -> tuple[DieStatus, ...]:
+    """Return die statuses with defect counts, None where a die was not compared, and with their measurements."""
     on = Counter(defect.die for defect in defects)
-    return tuple(replace(die, defects=on[die.name], street_inspected=streets) for die in dies)
+    streets = not work.on_dies or streets_measured(work.golden, work.cells)
+    named = work.cells.grid.name
+    skipped = {named(*result.place) for result in results if work.on_dies and not result.compared_px} - on.keys()
+    counts = {die.name: None if die.name in skipped else on[die.name] for die in dies}
+    return tuple(
+        replace(die, defects=counts[die.name], street_inspected=streets, measured=measured.get(die.name))
+        for die in dies
+    )

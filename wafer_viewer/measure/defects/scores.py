@@ -8,16 +8,17 @@ defects are detected with matched filters; the smoothed image and its detail det
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defects.die_form import Area, DieForm, flatten, levelled_picture
 from wafer_viewer.measure.defects.golden_die import Cell, ReferenceDie
 from wafer_viewer.measure.defects.matched_filters import SHARP, SOFT, Spectrum, matched, side_of
 from wafer_viewer.measure.defects.noise_model import NoiseModel, Planes
-from wafer_viewer.measure.dies.die_cells import DiePlane, Place, Plane
+from wafer_viewer.measure.dies.die_cells import Place, Plane
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, FalseCounts
 from wafer_viewer.numerics.filters.gaussian import gaussian_sums
 from wafer_viewer.numerics.filters.regions import region_maxima
@@ -131,7 +132,7 @@ PICTURED = "picture", "detail", SHARP, SOFT
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
-    """A cell less its reference: levelled heights with confidence weights, grey values, and the removed plane.
+    """A cell less its reference: levelled heights with confidence weights, grey values, and the removed form.
 
     Excluded pixels are NaN in heights and image, and are not missing.
     """
@@ -140,8 +141,7 @@ class Residual:
     z_um: Plane
     sure: Plane
     picture: Plane
-    tilt: tuple[float, float]
-    offset_um: float
+    form: DieForm
     missing: Mask
 
 
@@ -153,24 +153,20 @@ class DefectScores:
 
 
 def residual_of(
-    place: Place, cell: Cell, golden: ReferenceDie, pixel_um: float, flatten: bool, excluded: Mask | None = None
+    place: Place, cell: Cell, golden: ReferenceDie, pixel_um: float, die: Area | None, excluded: Mask | None = None
 ) -> Residual:
-    """Subtract the reference from a cell. flatten: also subtract the residual plane and the grey offset."""
+    """Subtract the reference from a cell. die: its part without streets, whose form and film are subtracted too."""
     z_um, picture = cell[0] - golden.z_um, cell[1] - golden.picture
     missing = np.isnan(cell[0]) & np.isfinite(golden.z_um)
     sure = _sureness(z_um)
     if excluded is not None:
         missing &= ~excluded
-    if not flatten:
-        return Residual(place, _less(z_um, excluded), sure, _less(picture, excluded), (0.0, 0.0), 0.0, missing)
-    tilted = DiePlane.of(z_um)
-    rows, cols = z_um.shape
-    grey = picture[::4, ::4]
-    grey = grey[np.isfinite(grey)]
-    level = np.float32(np.median(grey)) if grey.size else np.float32(0)
-    tilt = -tilted.down / pixel_um, tilted.right / pixel_um
-    z_um, picture = (_less(plane, excluded) for plane in (tilted.off(z_um), picture - level))
-    return Residual(place, z_um, sure, picture, tilt, tilted.at(rows / 2, cols / 2), missing)
+    form = DieForm()
+    if die is not None:
+        z_um, form = flatten(z_um, die, golden.z_spread_um, pixel_um)
+        picture, brightness, u_brightness = levelled_picture(picture, golden.picture, die)
+        form = replace(form, brightness=brightness, u_brightness=u_brightness)
+    return Residual(place, _less(z_um, excluded), sure, _less(picture, excluded), form, missing)
 
 
 def _less(plane: Plane, excluded: Mask | None) -> Plane:

@@ -58,6 +58,13 @@ class CellGrid:
         rows, cols = round(grid.pitch_y_um / pixel_um), round(grid.pitch_x_um / pixel_um)
         return cls(grid, pixel_um, (rows, cols), (_half(grid.street_y_um, pixel_um), _half(grid.street_x_um, pixel_um)))
 
+    @property
+    def die(self) -> tuple[slice, slice]:
+        """Rows and columns of the die in its cell, without the streets."""
+        (top, left), grid = self.street, self.grid
+        rows, cols = (round(n / self.pixel_um) for n in (grid.height_um, grid.width_um))
+        return slice(top, min(top + rows, self.shape[0])), slice(left, min(left + cols, self.shape[1]))
+
     def in_die(self, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
         """Return die coordinates (u_um, v_um) of cell pixels."""
         u_um = (cols - self.street[1] + 0.5) * self.pixel_um

@@ -13,10 +13,10 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
-from wafer_viewer.measure.dies.lattice_refinement import Registered, cells_over, dissimilar_cells, refined
+from wafer_viewer.measure.dies.lattice_refinement import Registered, Single, cells_over, dissimilar_cells, refined
 from wafer_viewer.measure.dies.periodicity import MEND, Periods, periods_of, vertex
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
-from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace, require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -60,6 +60,8 @@ class StreetParameters:
         Smallest known fraction of a layer that is searched.
     least_cols : int, px
         Smallest number of columns of a cell.
+    off_px : float, px
+        Largest difference in width from a known street.
 
     Notes
     -----
@@ -81,6 +83,7 @@ class StreetParameters:
     bands: int = 4
     least_valid: float = 0.3
     least_cols: int = 8
+    off_px: float = 2.5
 
 
 STREET = StreetParameters()
@@ -100,16 +103,17 @@ class Street:
     level: float
 
 
-def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
+def street_of(layers: Sequence[Float32s], upright: bool, width_px: float | None = None) -> Street | None:
     """Return the street that runs down a cell (upright) or across it; None without one.
 
     Taken from the first layer that shows it well, else from the one that shows it best. Heights take precedence: the
     image is blurred at the walls of a street. The cell repeats, so a street may cross its border.
+    width_px: known width.
     """
     planes = [
         _filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > STREET.least_valid
     ]
-    found = [street for plane in planes if (street := _street(plane)) is not None]
+    found = [street for plane in planes if (street := _street(plane, width_px)) is not None]
     if not found:
         return None
     first = found[0]
@@ -137,7 +141,7 @@ def _filled(plane: Float32s) -> Floats:
     return filled[np.isfinite(filled).all(axis=1)]
 
 
-def _street(plane: Floats) -> Street | None:
+def _street(plane: Floats, width_px: float | None) -> Street | None:
     """Return the pair of opposite edges that is strong and has a level strip between, to its ends; None without one.
 
     Between pads or lines the strip ends where a street crosses it; a street goes on.
@@ -147,13 +151,13 @@ def _street(plane: Floats) -> Street | None:
     plane = _upright(plane)
     slope = edges_profile(plane)
     spread = MAD_TO_SIGMA * float(np.median(np.abs(slope - np.median(slope)))) or float(np.abs(slope).max()) / 1e3
-    pairs = _strong_pairs(slope) if spread else []
+    pairs = _strong_pairs(slope, width_px) if spread else []
     if not pairs:
         return None
     levels = [_level(plane, begin, width) for _, begin, width in pairs]
     best = max(range(len(pairs)), key=lambda k: pairs[k][0] * levels[k])
     strength, begin, width = pairs[best]
-    if strength < STREET.stands_out * spread and levels[best] < STREET.even:
+    if width_px is None and strength < STREET.stands_out * spread and levels[best] < STREET.even:
         return None
     edges = [_between(slope, begin), _between(slope, begin + width)]
     u_px = math.hypot(*(_scatter(plane, round(edge)) for edge in edges)) / math.sqrt(2)
@@ -176,8 +180,11 @@ def edges_profile(plane: Floats) -> Floats:
     return np.asarray(np.clip(low, 0, None) + np.clip(high, None, 0), np.float64)
 
 
-def _strong_pairs(slope: Floats) -> list[tuple[float, int, int]]:
-    """Return (strength of the weaker edge, begin, width) of the pairs of opposite edges, the strongest first."""
+def _strong_pairs(slope: Floats, width_px: float | None) -> list[tuple[float, int, int]]:
+    """Return (strength of the weaker edge, begin, width) of the pairs of opposite edges, the strongest first.
+
+    width_px: known width, from which those of the pairs differ by a few pixels at most.
+    """
     size = np.abs(slope)
     edges = np.flatnonzero((size > 0) & (size >= np.roll(size, 1)) & (size > np.roll(size, -1)))
     strongest = edges[np.argsort(-size[edges])][: STREET.most_edges]
@@ -188,7 +195,10 @@ def _strong_pairs(slope: Floats) -> list[tuple[float, int, int]]:
         for b in strongest
         if slope[a] * slope[b] < 0
     ]
-    return sorted((pair for pair in pairs if STREET.narrowest_px <= pair[2] <= most), reverse=True)
+    low, high = (
+        (STREET.narrowest_px, most) if width_px is None else (width_px - STREET.off_px, width_px + STREET.off_px)
+    )
+    return sorted((pair for pair in pairs if low <= pair[2] <= high), reverse=True)
 
 
 def _level(plane: Floats, begin: int, width: int) -> float:
@@ -237,7 +247,7 @@ LEAST_ON_SURFACE = 0.1
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
 
 
-def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
+def find_dies(surface: Mosaic, *, evidence: Evidence = "both", size: DieSize | None = None) -> DieGrid:
     """Find the die lattice of a surface.
 
     The pitches come from the lags at which all columns, or all rows, of the pattern are similar, and are refined by
@@ -249,6 +259,9 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
         The surface; heights are read from the layer that its recipe measures on.
     evidence : {"height", "picture", "both"}, default "both"
         Layers to search: the heights, the all-in-focus image or both.
+    size : DieSize, optional
+        Pitches of the product's dies, in um, and their size if known. They are searched next to these pitches, to 3 %,
+        which tells dies from pads and lines, and keep the size.
 
     Returns
     -------
@@ -265,7 +278,7 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
         If the surface shows no contrast; nothing repeats; fewer than two complete dies lie on the surface; too few of
         the places that repeat look alike; fewer than nine similar places have no streets; a pitch is ambiguous, as
         where pads or lines repeat and no streets part the dies; the edges of streets are not clear; or the dies are
-        turned by more than 5 degrees. Its `brief` gives the reason in a few words.
+        turned by more than 5 degrees.
     MeasureError
         If no die of the lattice lies on the scanned surface, or the lattice has more than 100 000 places.
         `DiesNotFound` is a subclass.
@@ -286,16 +299,16 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     """
     require_choice("evidence", evidence, Evidence, MeasureError)
     coarse = read_coarse(surface, evidence)
-    periods = periods_of(coarse.layers)
-    single = periods.pitch_x is None, periods.pitch_y is None
-    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, single, coarse.pixel_um)
-    grid = with_streets(found)
-    _require_size(grid, periods, found)
-    if any(single):
-        return _one_row(grid, single)
-    if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
-        raise DiesNotFound(*dissimilar_cells(f"Only {found.n_dies}", found.lattice))
-    return on_surface(grid, surface)
+    pitch_px = (size.pitch_x_um / coarse.pixel_um, size.pitch_y_um / coarse.pixel_um) if size is not None else None
+    periods = periods_of(coarse.layers, pitch_px)
+    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, periods.single, coarse.pixel_um)
+    grid = with_streets(found, size)
+    if size is None:
+        _require_size(grid, periods, found)
+        _require_ends(grid, periods.single)
+    if size is None and found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
+        raise DiesNotFound(dissimilar_cells(f"Only {found.n_dies}", found.lattice))
+    return on_surface(grid, surface, periods.single)
 
 
 def _require_size(grid: DieGrid, periods: Periods, found: Registered) -> None:
@@ -305,22 +318,19 @@ def _require_size(grid: DieGrid, periods: Periods, found: Registered) -> None:
         if recurs and (street is None or street.level < STREET.unclear):
             raise DiesNotFound(
                 f"The dies repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um, and the edges of the streets "
-                f"between them along {axis} are not clear: {MEND}.",
-                f"Dies found, and not their size along {axis}",
+                f"between them along {axis} are not clear: {MEND}."
             )
 
 
-def _one_row(grid: DieGrid, single: tuple[bool, bool]) -> DieGrid:
-    """Return the lattice of a single row or column. Raises DiesNotFound where the edges of its dies do not show."""
-    if grid.street_x_um == 0 or grid.street_y_um == 0:
+def _require_ends(grid: DieGrid, single: Single) -> None:
+    """Raise DiesNotFound where the edges of the dies of a single row or column do not show."""
+    if any(single) and (grid.street_x_um == 0 or grid.street_y_um == 0):
         what, axis = ("column", "x") if single[0] else ("row", "y")
         raise DiesNotFound(
             f"One {what} of dies repeats every {grid.pitch_y_um if single[0] else grid.pitch_x_um:.1f} um, and where "
             f"its dies begin and end does not show along both axes: scan at least two dies along {axis}, or give "
-            "pitch, origin and size of the dies instead.",
-            f"One {what} of dies found, without the edges of its dies",
+            "pitch, origin and size of the dies instead."
         )
-    return grid
 
 
 def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:
@@ -340,8 +350,8 @@ def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
     Along an axis of a single row the cell covers the pattern and a margin.
     """
     rows, cols = coarse.shape
-    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um, cols)
-    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um, rows)
+    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um, cols, periods.single[0])
+    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um, rows, periods.single[1])
     c, s = math.cos(periods.angle_rad), math.sin(periods.angle_rad)
     return DieGrid(
         pitch_x_um=along[1],
@@ -355,7 +365,9 @@ def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
     )
 
 
-def _cell(pitch_px: float | None, extent_px: tuple[float, float], pixel_um: float, n_px: int) -> tuple[float, float]:
+def _cell(
+    pitch_px: float | None, extent_px: tuple[float, float], pixel_um: float, n_px: int, single: bool
+) -> tuple[float, float]:
     """Return the begin of a cell from the centre of the surface, and its length, um.
 
     The cells of an array that does not reach the borders lie about its middle, so that streets part them.
@@ -363,19 +375,26 @@ def _cell(pitch_px: float | None, extent_px: tuple[float, float], pixel_um: floa
     low, high = extent_px
     if pitch_px is None:
         return (low - MARGIN_PX) * pixel_um, (high - low + 2 * MARGIN_PX) * pixel_um
+    if single:
+        return ((low + high) / 2 - pitch_px / 2) * pixel_um, pitch_px * pixel_um
     if max(-low, high) > n_px / 2 - BORDER_PX:
         return 0.0, pitch_px * pixel_um
     n_dies = math.ceil((high - low) / pitch_px - 0.1)
     return ((low + high) / 2 - n_dies / 2 * pitch_px) * pixel_um, pitch_px * pixel_um
 
 
-def with_streets(found: Registered) -> DieGrid:
-    """Return the lattice with die size and origin from the streets of the median cell."""
+def with_streets(found: Registered, size: DieSize | None = None) -> DieGrid:
+    """Return the lattice with die size and origin from the streets of the median cell; dies keep a known size."""
     grid, lattice = found.grid, found.lattice
-    upright, level = street_of(found.cell, upright=True), street_of(found.cell, upright=False)
+    known = _known_streets(size, grid)
+    widths_px = [um / step for um, step in zip(known, (lattice.step_x_um, lattice.step_y_um), strict=True)]
+    upright, level = (
+        street_of(found.cell, upright, width_px or None)
+        for upright, width_px in zip((True, False), widths_px, strict=True)
+    )
     u_first, v_first = (float(axis.ravel()[0]) for axis in lattice.places(grid))
-    left, width = _die_between(upright, u_first, lattice.step_x_um, grid.pitch_x_um, 1)
-    top, height = _die_between(level, v_first, lattice.step_y_um, grid.pitch_y_um, -1)
+    left, width = _die_between(upright, u_first, lattice.step_x_um, grid.pitch_x_um, 1, known[0])
+    top, height = _die_between(level, v_first, lattice.step_y_um, grid.pitch_y_um, -1, known[1])
     x_um, y_um = grid.to_stage(0, 0, left, top - height)
     step_um = max(lattice.step_x_um, lattice.step_y_um)
     edges_um = [street.u_px * step_um for street in (upright, level) if street is not None]
@@ -391,28 +410,48 @@ def with_streets(found: Registered) -> DieGrid:
     )
 
 
+def _known_streets(size: DieSize | None, grid: DieGrid) -> tuple[float, float]:
+    """Return the widths of the streets along x and y of dies of a known size, um; 0 where it is not known."""
+    if size is None:
+        return 0.0, 0.0
+    width, height = size.width_um or grid.pitch_x_um, size.height_um or grid.pitch_y_um
+    return max(0.0, grid.pitch_x_um - width), max(0.0, grid.pitch_y_um - height)
+
+
 def _die_between(
-    street: Street | None, first_um: float, step_um: float, pitch_um: float, step: Literal[1, -1]
+    street: Street | None, first_um: float, step_um: float, pitch_um: float, step: Literal[1, -1], known_um: float = 0.0
 ) -> tuple[float, float]:
-    """Return the start of the die along the cell's lines and its length, um."""
+    """Return the start of the die along the cell's lines and its length, um.
+
+    It is the die with most of its length in the cell. One of a known size without a visible street lies in the middle.
+    """
     if street is None:
-        return first_um, pitch_um
-    return first_um + step * (street.begin + street.width) * step_um, pitch_um - street.width * step_um
+        return first_um + step * known_um / 2, pitch_um - known_um
+    width_um = known_um or street.width * step_um
+    off_um = math.remainder((street.begin + street.width / 2) * step_um, pitch_um)
+    return first_um + step * (off_um + width_um / 2), pitch_um - width_um
 
 
-def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
+def on_surface(grid: DieGrid, surface: Mosaic, single: Single = (False, False)) -> DieGrid:
     """Return the lattice numbered from the lowest, leftmost column and row that touch the surface.
 
-    Places that do not touch it are left out. Raises MeasureError where none does.
+    single: axes, x and y, along which there is one die only, that of column or row 0. Places that do not touch the
+    surface are left out. Raises MeasureError where none does.
     """
     cols, rows = touching(grid, surface)
+    dies = ~(single[0] & (cols != 0)) & ~(single[1] & (rows != 0))
+    cols, rows = cols[dies], rows[dies]
     x_um, y_um = grid.corner(int(cols.min()), int(rows.min()))
-    return over_surface(replace(grid, x0_um=x_um, y0_um=y_um), surface)
+    return _covering(replace(grid, x0_um=x_um, y0_um=y_um), cols - cols.min(), rows - rows.min())
 
 
 def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
     """Return the lattice cropped to the surface, with its numbering. Raises MeasureError where they do not overlap."""
-    cols, rows = touching(grid, surface)
+    return _covering(grid, *touching(grid, surface))
+
+
+def _covering(grid: DieGrid, cols: np.ndarray, rows: np.ndarray) -> DieGrid:
+    """Return the lattice over dies, without the others among them."""
     first_col, first_row = int(cols.min()), int(rows.min())
     n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
     extent = {"first_col": first_col, "first_row": first_row, "cols": n_cols, "rows": n_rows}

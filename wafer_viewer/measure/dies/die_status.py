@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -85,6 +85,8 @@ class DieStatusParameters:
 
 
 STATUS = DieStatusParameters()
+BESIDE_CORNER = 2
+"""Number of dies beside a corner of an array."""
 Places = Sequence[tuple[int, int]]
 Bools = NDArray[np.bool_]
 
@@ -154,11 +156,13 @@ def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
     )
 
 
-def without_bare_rim(grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
+def without_bare_rim(surface: Mosaic, grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
     """Return the lattice without empty places connected to its rim, as around the dies of a round wafer.
 
-    A missing die among others stays in, and so does every place of a lattice that names its dies. The content of
-    slivers at the border of the surface is unknown: next to an empty place they are taken as empty.
+    A missing die among others stays in, and so does every place of a lattice that names its dies. At the rim a place
+    misses a die if it lies wholly on the surface, and between dies of its row or column or at the only open corner of
+    the array. The content of slivers at the border of the surface is unknown: next to an empty place they are taken as
+    empty.
     """
     if grid.named:
         return grid
@@ -170,10 +174,36 @@ def without_bare_rim(grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
         met = (empty - rim).intersection(_adjacent(waiting.pop()))
         rim |= met
         waiting.extend(met)
-    bare = {place for place in rim if places[place] == "missing"}
+    bare = {place for place in rim if places[place] == "missing"} - _missed(surface, grid, places)
     slivers = {(die.col, die.row) for die in dies if die.state == "cut" and die.measured_fraction < STATUS.least_judged}
     bare |= {place for place in slivers if bare.intersection(_adjacent(place))}
     return replace(grid, left_out=(*grid.left_out, *sorted(grid.name(*place) for place in bare)))
+
+
+def _missed(surface: Mosaic, grid: DieGrid, places: Mapping[tuple[int, int], str]) -> set[tuple[int, int]]:
+    """Return the places on the surface where the array of dies has a gap: it is convex along rows and columns."""
+    present = {place for place, state in places.items() if state in ("whole", "cut", "partly scanned")}
+    empty = [place for place, state in places.items() if state == "missing"]
+    if not present or not empty:
+        return set()
+    lowest, highest = np.min(list(present), axis=0).tolist(), np.max(list(present), axis=0).tolist()
+    corners = {(col, row) for col in (lowest[0], highest[0]) for row in (lowest[1], highest[1])}
+    open_corners = corners - present
+    beyond = _beyond(surface, grid, empty)
+    return {
+        (col, row)
+        for (col, row), off in zip(empty, beyond, strict=True)
+        if not off
+        and (
+            _between(col, [c for c, r in present if r == row])
+            or _between(row, [r for c, r in present if c == col])
+            or (open_corners == {(col, row)} and len(present.intersection(_adjacent((col, row)))) == BESIDE_CORNER)
+        )
+    }
+
+
+def _between(value: int, others: Sequence[int]) -> bool:
+    return bool(others) and min(others) < value < max(others)
 
 
 def _adjacent(die: tuple[int, int]) -> tuple[tuple[int, int], ...]:

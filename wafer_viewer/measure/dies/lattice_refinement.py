@@ -119,7 +119,7 @@ def refined(
     shifts = registered_shifts(cells, lattice)
     moved_um = max(abs(grid.pitch_x_um - rough.pitch_x_um), abs(grid.pitch_y_um - rough.pitch_y_um))
     if grid.u_pitch_um > REFINEMENT.most_u_pitch * grid.pitch_x_um or moved_um > most_moved_um:
-        raise DiesNotFound(*dissimilar_cells("Too few of the", lattice))
+        raise DiesNotFound(dissimilar_cells("Too few of the", lattice))
     return Registered(grid, median_cell([cells[die] for die in shifts]), lattice, len(shifts))
 
 
@@ -156,8 +156,7 @@ def cells_of(
         found = f"{len(cells)} whole {'die' if len(cells) == 1 else 'dies'} found, 2 needed"
         raise DiesNotFound(
             f"{found}; they seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um: scan more dies, or "
-            "give pitch, origin and size of the dies instead.",
-            found,
+            "give pitch, origin and size of the dies instead."
         )
     return cells
 
@@ -229,17 +228,16 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
     found = {die: _shift(reference, _contrasts(cell)) for die, cell in cells.items()}
     shifts = {die: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for die, lag in found.items() if lag}
     if len(shifts) < max(2, REFINEMENT.least_share * len(cells)):
-        raise DiesNotFound(*dissimilar_cells(f"Only {len(shifts)} of {len(cells)}", lattice))
+        raise DiesNotFound(dissimilar_cells(f"Only {len(shifts)} of {len(cells)}", lattice))
     return shifts
 
 
-def dissimilar_cells(how_many: str, lattice: CellLattice) -> tuple[str, str]:
-    """Return the message and the brief of the error for a repeating pattern that is not dies."""
+def dissimilar_cells(how_many: str, lattice: CellLattice) -> str:
+    """Return the message of the error for a repeating pattern that is not dies."""
     width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
     return (
         f"{how_many} places that repeat every {width_um:.0f} x {height_um:.0f} um look alike, so they are no whole "
-        "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead.",
-        "No dies found: what repeats does not look alike",
+        "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead."
     )
 
 

@@ -97,6 +97,10 @@ class PeriodicityParameters:
         Largest distance of a multiple of the period from its expected place.
     better : float
         Excess of the correlation at a multiple of a lag over that at the lag, from which the period is doubtful.
+    expected_within : float
+        Relative distance from a given pitch within which the period is searched.
+    one_die : float
+        Extent of the pattern relative to the pitch below which there is one die only.
 
     Notes
     -----
@@ -138,6 +142,8 @@ class PeriodicityParameters:
     as_similar: float = 0.85
     off_px: float = 1.5
     better: float = 0.12
+    expected_within: float = 0.03
+    one_die: float = 1.15
 
 
 PERIODICITY = PeriodicityParameters()
@@ -181,9 +187,18 @@ class Periods:
     up: tuple[float, float]
     streets: tuple[bool, bool]
 
+    @property
+    def single(self) -> tuple[bool, bool]:
+        """Axes, x and y, along which the pattern is that of one die."""
+        along = ((self.pitch_x, self.right), (self.pitch_y, self.up))
+        x, y = (pitch is None or high - low < PERIODICITY.one_die * pitch for pitch, (low, high) in along)
+        return x, y
 
-def periods_of(layers: Sequence[Float32s]) -> Periods:
+
+def periods_of(layers: Sequence[Float32s], expected_px: tuple[float, float] | None = None) -> Periods:
     """Return the periods of layers [row, col] that show one pattern, NaN where unknown.
+
+    expected_px: known pitches along x and y, next to which the periods are taken.
 
     Raises DiesNotFound where there is no contrast, where nothing repeats along either axis, where a period is doubtful,
     and where the pattern is rotated by more than `PERIODICITY.limit_deg`.
@@ -194,20 +209,22 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
     active = _active(straight)
     across = similarity(straight, active)
     down = similarity([one.transposed for one in straight], active.T)
+    up = -down.extent[1], -down.extent[0]
+    streets = across.recurring is not None, down.recurring is not None
+    if expected_px is not None:
+        pitch_x, pitch_y = _expected(across, expected_px[0]), _expected(down, expected_px[1])
+        return Periods(pitch_x, pitch_y, math.radians(angle_deg), across.extent, up, streets)
     pitch_x, pitch_y = period_of(across, "x"), period_of(down, "y")
     if pitch_x is None and pitch_y is None:
         raise DiesNotFound(
-            f"No dies are found, because nothing repeats along x or y: scan at least two dies, or {MEND}.",
-            "No dies found: nothing repeats along x or y",
+            f"No dies are found, because nothing repeats along x or y: scan at least two dies, or {MEND}."
         )
     if abs(angle_deg) > PERIODICITY.limit_deg:
         raise turned_too_far(angle_deg)
-    up = -down.extent[1], -down.extent[0]
     if pitch_x is None and pitch_y is not None:
         _require_shape(pitch_y, across.extent, "x")
     if pitch_y is None and pitch_x is not None:
         _require_shape(pitch_x, up, "y")
-    streets = across.recurring is not None, down.recurring is not None
     return Periods(pitch_x, pitch_y, math.radians(angle_deg), across.extent, up, streets)
 
 
@@ -324,8 +341,7 @@ def turned_too_far(angle_deg: float) -> DiesNotFound:
     """Return the error for a wafer that is rotated too far."""
     return DiesNotFound(
         f"The dies are turned by {angle_deg:.1f} degrees and at most {PERIODICITY.limit_deg:g} can be found: turn the "
-        f"wafer, or {MEND}.",
-        f"No dies found: turned by {angle_deg:.1f} degrees",
+        f"wafer, or {MEND}."
     )
 
 
@@ -485,6 +501,14 @@ def period_of(found: Similarity, axis: str) -> float | None:
     return _over_multiples(found, maxima, lag)
 
 
+def _expected(found: Similarity, pitch_px: float) -> float:
+    """Return the period next to a known pitch; the pitch itself where no lag next to it stands out."""
+    reach = max(PERIODICITY.off_px, PERIODICITY.expected_within * pitch_px)
+    maxima = _maxima(found)
+    near = [lag for lag in maxima if abs(lag - pitch_px) <= reach]
+    return _over_multiples(found, maxima, max(near, key=lambda lag: _top(found, lag))) if near else pitch_px
+
+
 def _over_multiples(found: Similarity, maxima: Sequence[int], lag: int) -> float:
     """Return the period to subpixels, from the farthest of its successive multiples that correlate."""
     period, times = lag + vertex(*found.correlation[lag - 1 : lag + 2].tolist()), 2
@@ -554,8 +578,7 @@ def _require_shape(pitch_px: float, extent_px: tuple[float, float], axis: str) -
 
 def _doubtful(axis: str) -> DiesNotFound:
     return DiesNotFound(
-        f"The pitch along {axis} is ambiguous, because what repeats may be dies or a pattern within a die: {MEND}.",
-        f"No dies found: their pitch along {axis} is ambiguous",
+        f"The pitch along {axis} is ambiguous, because what repeats may be dies or a pattern within a die: {MEND}."
     )
 
 

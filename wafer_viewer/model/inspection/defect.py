@@ -39,6 +39,8 @@ class DefectLimits(Spec, frozen=True, kw_only=True):
 Evidence = Literal["height", "picture", "both"]
 Judgement = Literal["open", "real", "nuisance"]
 Reference = Literal["dies", "golden", "form"]
+Against = Literal["dies", "form"]
+"""Reference of the comparison: the other dies or a golden die, or a form fitted to the surface."""
 RESOLVED_FROM_PX = 20.0
 """Size in pixels below which defects are detected but not resolved."""
 DULLEST_SIGMA, KEENEST_SIGMA = 8.0, 2.0
@@ -181,6 +183,12 @@ class Inspection(Spec, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
     @property
+    def inspected_fraction(self) -> float:
+        """Inspected part of the area that was to be inspected; excluded areas do not count."""
+        asked_mm2 = self.inspected_mm2 + self.unmeasured_mm2 + self.not_scanned_mm2
+        return self.inspected_mm2 / asked_mm2 if asked_mm2 else 0.0
+
+    @property
     def found(self) -> tuple[Defect, ...]:
         """Defects without unmeasured areas, which are missing data; the operator's class takes precedence."""
         return tuple(defect for defect in self.defects if defect.seen_as != "unmeasured")
@@ -219,6 +227,19 @@ class RepeatedPlace(Spec, frozen=True, kw_only=True):
 # ------------------------------------------------------------------------------------------------------- defect verdict
 
 
+REFERENCES: dict[Reference, str] = {
+    "dies": "the median of the dies",
+    "golden": "the golden die",
+    "form": "the fitted form",
+}
+"""References in words."""
+FORM_SEES = (
+    "Only what stands out of the fitted form is seen: no missing, tilted or discoloured die, nothing that is missing "
+    "from a pattern, no stain on one."
+)
+"""Limitation of a comparison with the fitted form."""
+LEAST_INSPECTED = 0.5
+"""Smallest inspected fraction for a verdict; a die of which less is measured counts as partly scanned."""
 LEAST_GAP = 0.02
 """Fraction of a surface; unscanned area at a ragged border of the fields is smaller."""
 
@@ -227,13 +248,15 @@ class DefectVerdict(Spec, frozen=True, kw_only=True):
     """Verdict on an inspected wafer, with the reasons for any word but pass.
 
     word: fail where a limit is exceeded, no verdict where anything that the limits cover was not inspected, else pass;
-    within: True for pass alone; counted: defects without those judged a nuisance; failing: dies with more defects than
-    permitted; not_inspected: dies that are not or not fully scanned, which are never clean.
+    within: True for pass alone; inspected_fraction: of the area that was to be inspected; counted: defects without
+    those judged a nuisance; failing: dies with more defects than permitted; not_inspected: dies that are not or not
+    fully scanned, which are never clean.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     word: Word
     within: bool
+    inspected_fraction: Fraction = 0.0
     counted: int
     per_mm2: NonNegative | None
     failing: tuple[str, ...] = ()
@@ -255,14 +278,15 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     -------
     DefectVerdict
         The word and whether the wafer is within the limits, with the counted defects, their number per mm2 (None if
-        nothing was inspected), the failing dies, the dies that were not inspected, and the reasons.
+        nothing was inspected), the inspected fraction, the failing dies, the dies that were not inspected, and the
+        reasons.
 
     Notes
     -----
     Defects judged a nuisance, and unmeasured areas, are not counted. An open limit is never exceeded. A wafer on which
-    nothing was inspected has no verdict, nor has one with dies that were not or only partly scanned, or one without
-    known dies under a limit per die. Without dies, a surface whose unscanned area is over 2 % of its scanned area has
-    no verdict. A limit that is exceeded on what was inspected fails the wafer all the same.
+    less than half was inspected has no verdict, nor has one with dies that were not or only partly scanned or not
+    compared, or one without known dies under a limit per die. Without dies, a surface whose unscanned area is over 2 %
+    of its scanned area has no verdict. A limit that is exceeded on what was inspected fails the wafer all the same.
     """
     limits = inspection.recipe.limits if limits is None else limits
     counted = [defect for defect in inspection.found if defect.judgement != "nuisance"]
@@ -271,17 +295,38 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     failing = _failing(counted, limits)
     lacking = tuple(die.name for die in inspection.dies if _lacks_area(die, inspection))
     exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits))
-    undecided = (*_not_inspected(lacking, per_mm2), *_gaps(inspection), *_not_countable(inspection, limits))
+    undecided = (*_not_inspected(lacking, inspection), *_gaps(inspection), *_not_countable(inspection, limits))
     word: Word = "fail" if exceeded else "no verdict" if undecided else "pass"
     return DefectVerdict(
         word=word,
         within=word == "pass",
+        inspected_fraction=inspection.inspected_fraction,
         counted=len(counted),
         per_mm2=per_mm2,
         failing=failing,
         not_inspected=lacking,
         why=(*exceeded, *undecided),
     )
+
+
+def headline(inspection: Inspection, limits: DefectLimits | None = None) -> str:
+    """Return the first line of a result: the share inspected, the reference, the defects and the verdict."""
+    verdict = verdict_of(inspection, limits)
+    counted = "1 defect" if verdict.counted == 1 else f"{verdict.counted} defects"
+    set_limits = inspection.recipe.limits if limits is None else limits
+    outcome = verdict.word if set_limits.are_set or verdict.word == "no verdict" else "no limits set"
+    area = f"{_percent(verdict.inspected_fraction)} of {_asked_mm2(inspection):.3g} mm2 inspected"
+    return f"{area}, compared with {REFERENCES[inspection.reference]}: {counted}, {outcome}."
+
+
+def _asked_mm2(inspection: Inspection) -> float:
+    return inspection.inspected_mm2 + inspection.unmeasured_mm2 + inspection.not_scanned_mm2
+
+
+def _percent(fraction: float) -> str:
+    """Return a percentage that is 100 % only if nothing is missing, and 0 % only if all is."""
+    percent = 100 * fraction
+    return f"{percent:.0f} %" if percent in (0.0, 100.0) else f"{min(max(percent, 0.1), 99.9):.3g} %"
 
 
 DieBin = Literal["pass", "fail", "missing", "not inspected"]
@@ -339,7 +384,8 @@ def _lacks_area(die: DieStatus, inspection: Inspection) -> bool:
     """Return whether a part of a die was not scanned; the rim of a lattice that names no dies may cut them."""
     named = inspection.grid is not None and inspection.grid.named
     beyond = named and die.state == "cut" and die.measured_fraction < LEAST_KNOWN
-    return beyond or die.state in ("partly scanned", "not scanned")
+    not_compared = die.state == "whole" and die.defects is None
+    return beyond or not_compared or die.state in ("partly scanned", "not scanned")
 
 
 def _failing(counted: list[Defect], limits: DefectLimits) -> tuple[str, ...]:
@@ -363,20 +409,32 @@ def _too_dense(per_mm2: float | None, limits: DefectLimits) -> tuple[str, ...]:
     return (f"{per_mm2:.3g} defects per mm2, and {limits.max_per_mm2:g} are allowed.",)
 
 
-def _not_inspected(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str, ...]:
-    if per_mm2 is None:
+def _not_inspected(lacking: tuple[str, ...], inspection: Inspection) -> tuple[str, ...]:
+    if not inspection.inspected_mm2:
         return ("Nothing was inspected.",)
-    return (f"Not or only partly scanned, so not clean: {_listed(lacking)}.",) if lacking else ()
+    dies = (f"Not or only partly scanned, so not clean: {_listed(lacking)}.",) if lacking else ()
+    if inspection.inspected_fraction >= LEAST_INSPECTED:
+        return dies
+    return (*dies, f"Only {_percent(inspection.inspected_fraction)} was inspected, so the rest is not clean.")
+
+
+def require_dies_for(limits: DefectLimits, dies: bool) -> None:
+    """Raise MeasureError for a limit of defects per die where no die is known."""
+    if limits.max_per_die is not None and not dies:
+        raise MeasureError(NO_DIE_TO_COUNT_ON)
+
+
+NO_DIE_TO_COUNT_ON = (
+    "No die is known, so defects per die cannot be counted: give the pitch and a corner of the dies, or limit the "
+    "defects per mm2 instead."
+)
 
 
 def _not_countable(inspection: Inspection, limits: DefectLimits) -> tuple[str, ...]:
     """Return a sentence on a limit per die where no die is known."""
     if limits.max_per_die is None or inspection.dies:
         return ()
-    return (
-        "No die is known, so defects per die were not counted: give the pitch and a corner of the dies, or limit the "
-        "defects per mm2.",
-    )
+    return (NO_DIE_TO_COUNT_ON,)
 
 
 def _gaps(inspection: Inspection) -> tuple[str, ...]:

@@ -20,9 +20,10 @@ class DefectShape:
     roughness of the residual inside, after removal of its slow shape, over the local noise; near 1 is smooth.
     steepness: median slope across its outline over |height_um| / (minor_um / 2); 1 for a cone, large for a wall, 0 if
     unknown. on_edge_fraction: fraction of its border on the edge of a die. die_fraction: fraction of the die that it
-    covers. die_tilt_mrad: tilt of the die's residual plane. unmeasured_fraction: fraction of its area without a height.
-    height_score, picture_score: signal-to-noise in heights and in the picture; detail_score: in the fine detail of the
-    picture; 0 if unknown. picture_ratio: aspect ratio of the outline in the picture, 0 if nothing shows there.
+    covers. die_presence: 0 where no die is seen; die_tilt_mrad, die_bow_um, die_brightness: deviations of the die from
+    the others, the last one relative, 0 where not significant. unmeasured_fraction: fraction of its area without a
+    height. height_score, picture_score: signal-to-noise in heights and in the picture; detail_score: in the fine detail
+    of the picture; 0 if unknown. picture_ratio: aspect ratio of the outline in the picture, 0 if nothing shows there.
     """
 
     height_um: float
@@ -35,7 +36,10 @@ class DefectShape:
     steepness: float = 0.0
     on_edge_fraction: float = 0.0
     die_fraction: float = 0.0
+    die_presence: float = 1.0
     die_tilt_mrad: float = 0.0
+    die_bow_um: float = 0.0
+    die_brightness: float = 0.0
     unmeasured_fraction: float = 0.0
     evidence: Literal["height", "picture", "both"] = "height"
     height_score: float = 0.0
@@ -64,7 +68,8 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     """Limits between the classes of defects; a recipe may change any of them.
 
     unmeasured_fraction: above it there is nothing to classify. die_fraction: a candidate that covers more of its die is
-    a property of the die: tilted above tilt_mrad, else missing if lower by more than missing_height_um. edge_fraction:
+    a property of the die: missing if none is seen, else tilted above tilt_mrad, bowed above bow_um, discoloured above
+    brightness_fraction, or missing if lower by more than missing_height_um. edge_fraction:
     an edge chip has more of its border on the edge of a die, and material missing. scratch_ratio: a scratch is longer
     than this multiple of its width, and longer than scratch_length_um (0 allows any length). residue_*: residue is
     wider than residue_width_um, lower than residue_aspect of its width, no rougher than residue_roughness, no steeper
@@ -77,7 +82,9 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     unmeasured_fraction: Fraction = 0.5
     die_fraction: Fraction = 0.5
     missing_height_um: Positive = 1.0
-    tilt_mrad: NonNegative = 3.0
+    tilt_mrad: NonNegative = 2.0
+    bow_um: NonNegative = 0.3
+    brightness_fraction: NonNegative = 0.08
     edge_fraction: Fraction = 0.03
     scratch_ratio: Annotated[float, Within(1)] = 2.5
     scratch_length_um: NonNegative = 0.0
@@ -111,6 +118,8 @@ class Condition:
         return abs(math.log(self.value / self.limit))
 
 
+PRESENT = 0.5
+"""Likeness of a place to the typical die from which it holds a die."""
 Rule = Callable[[DefectShape, ClassRules], tuple[Condition, ...]]
 
 
@@ -120,16 +129,28 @@ def _unmeasured(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
 
 
 def _missing_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    if shape.die_presence < PRESENT:
+        return _of_die(shape, rules), Condition("no die is seen there", shape.die_presence, PRESENT, over=False)
     down_um = max(-shape.mean_height_um or -shape.height_um, 0.0)
-    return (
-        _of_die(shape, rules),
-        Condition(f"the die lies {down_um:.3g} um under the others", down_um, rules.missing_height_um),
-    )
+    level = Condition("it is not tilted", shape.die_tilt_mrad, rules.tilt_mrad, over=False)
+    low = Condition(f"the die lies {down_um:.3g} um under the others", down_um, rules.missing_height_um)
+    return _of_die(shape, rules), low, level
 
 
 def _tilted_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
     tilt = shape.die_tilt_mrad
     return _of_die(shape, rules), Condition(f"the die is tilted by {tilt:.3g} mrad", tilt, rules.tilt_mrad)
+
+
+def _bowed_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    bow_um = abs(shape.die_bow_um)
+    return _of_die(shape, rules), Condition(f"the die is bowed by {shape.die_bow_um:.3g} um", bow_um, rules.bow_um)
+
+
+def _discoloured_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    off = shape.die_brightness
+    shine = f"the die is {abs(off):.0%} {'brighter' if off > 0 else 'darker'} than the others"
+    return _of_die(shape, rules), Condition(shine, abs(off), rules.brightness_fraction)
 
 
 def _of_die(shape: DefectShape, rules: ClassRules) -> Condition:
@@ -186,10 +207,11 @@ def _gone(shape: DefectShape) -> Condition:
 
 @dataclass(frozen=True, slots=True)
 class DefectClassEntry:
-    """A defect class: title, colour and shape of its symbol, and the key that assigns it.
+    """A defect class: title, colour and shape of its symbol, and the key that assigns it, empty for none.
 
     klarf_number: CLASSNUMBER in KLARF files; 0 is not exported: unmeasured areas are not defects.
-    rule: conditions that a candidate of this class meets; None: the class of candidates that meet no rule.
+    rule: conditions that a candidate of this class meets; None: assigned by people alone, but for the particle, which
+    is the class of candidates that meet no rule.
     """
 
     name: str
@@ -202,15 +224,19 @@ class DefectClassEntry:
 
 
 _BY_RULE = (
-    DefectClassEntry("unmeasured", "Unmeasured", "#8E9860", "cross", "9", 0, _unmeasured),
-    DefectClassEntry("tilted die", "Tilted die", "#855D59", "slant", "8", 6, _tilted_die),
-    DefectClassEntry("missing die", "Missing die", "#7985D9", "ring", "4", 5, _missing_die),
-    DefectClassEntry("edge chip", "Edge chip", "#5A5BC8", "corner", "7", 7, _edge_chip),
+    DefectClassEntry("unmeasured", "Unmeasured", "#A39165", "cross", "9", 0, _unmeasured),
+    DefectClassEntry("missing die", "Missing die", "#9D6EFA", "ring", "4", 5, _missing_die),
+    DefectClassEntry("tilted die", "Tilted die", "#C3677E", "slant", "8", 6, _tilted_die),
+    DefectClassEntry("bowed die", "Bowed die", "#6D98B9", "arc", "", 9, _bowed_die),
+    DefectClassEntry("discoloured die", "Discoloured die", "#DE1E32", "half", "", 10, _discoloured_die),
+    DefectClassEntry("edge chip", "Edge chip", "#9334D9", "corner", "7", 7, _edge_chip),
+    DefectClassEntry("missing bump", "Missing bump", "#2E765E", "frame", "", 11, None),
+    DefectClassEntry("bridge", "Bridge", "#CB1C5A", "link", "", 12, None),
     DefectClassEntry("residue", "Residue", "#A0497B", "square", "3", 4, _residue),
     DefectClassEntry("scratch", "Scratch", "#507A9D", "bar", "2", 3, _scratch),
-    DefectClassEntry("pattern", "Pattern", "#279A80", "triangle", "5", 8, _pattern),
-    DefectClassEntry("pit", "Pit", "#826405", "diamond", "6", 2, _pit),
-    DefectClassEntry("particle", "Particle", "#E66F00", "disc", "1", 1, None),
+    DefectClassEntry("pattern", "Pattern", "#38A092", "triangle", "5", 8, _pattern),
+    DefectClassEntry("pit", "Pit", "#31781A", "diamond", "6", 2, _pit),
+    DefectClassEntry("particle", "Particle", "#CA8515", "disc", "1", 1, None),
 )
 """All classes, in the order in which their rules are evaluated.
 
@@ -224,7 +250,7 @@ else:
     DefectClass = Literal[tuple(entry.name for entry in _BY_RULE)]
 
 DEFECT_CLASSES: dict[DefectClass, DefectClassEntry] = {
-    entry.name: entry for entry in sorted(_BY_RULE, key=lambda entry: entry.key)
+    entry.name: entry for entry in sorted(_BY_RULE, key=lambda entry: entry.key or "~")
 }
 """Classes by name, in the order of their keys."""
 RULES: dict[DefectClass, Rule] = {entry.name: entry.rule for entry in _BY_RULE if entry.rule is not None}

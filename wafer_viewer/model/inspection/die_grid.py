@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import MeasureError, PlanError, WaferViewerError
 from wafer_viewer.model.measurement.feature import MOST_DIES, Die, Dies
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Within
 
@@ -164,12 +165,51 @@ class DieGrid(Spec, frozen=True, kw_only=True):
         return f"{col},{row}"
 
 
+class DieSize(Spec, frozen=True, kw_only=True):
+    """Pitches and size of the dies of a product, whose place on the surface is not known; size 0: not known."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    pitch_x_um: Positive
+    pitch_y_um: Positive
+    width_um: NonNegative = 0.0
+    height_um: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for size, pitch in (("width_um", self.pitch_x_um), ("height_um", self.pitch_y_um)):
+            if getattr(self, size) > pitch:
+                self.refuse(size, f"at most the pitch {pitch:g} um")
+
+
+class DieMeasurement(Spec, frozen=True, kw_only=True):
+    """Tilt, offset, bow and brightness of a die, relative to the others and to their trend over the wafer.
+
+    tilt_x, tilt_y: slopes along the lattice, positive where the die rises to the right and upwards. offset: height of
+    its corners' plane. bow: height of its middle over its corners. brightness_fraction: brightness in the picture, with
+    its standard uncertainty (k = 1).
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    tilt_x: Quantity
+    tilt_y: Quantity
+    offset: Length
+    bow: Length
+    brightness_fraction: float = 0.0
+    u_brightness_fraction: NonNegative = 0.0
+
+    @property
+    def tilt_mrad(self) -> float:
+        """Tilt of the die, without its direction."""
+        return math.hypot(self.tilt_x.value, self.tilt_y.value)
+
+
 class DieStatus(Spec, frozen=True, kw_only=True):
     """Status of one lattice position: scanned and measured fraction of its die, and number of defects.
 
     cut: the die extends beyond the edge of the wafer or the surface; partly scanned: fields are missing from it, or
-    less than half of it could be measured; missing: scanned, but no die there. defects: None before an inspection;
-    street_inspected: False if only the area between the streets was compared.
+    less than half of it could be measured; missing: scanned, but no die there. defects: None where it was not
+    inspected; street_inspected: False if only the area between the streets was compared; measured: None where it was
+    not compared.
     """
 
     name: str
@@ -179,6 +219,7 @@ class DieStatus(Spec, frozen=True, kw_only=True):
     measured_fraction: Fraction
     defects: Annotated[int, Within(0)] | None = None
     street_inspected: bool = True
+    measured: DieMeasurement | None = None
 
     @property
     def word(self) -> str:

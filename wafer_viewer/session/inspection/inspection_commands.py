@@ -8,13 +8,20 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection, Judgement
+from wafer_viewer.model.errors import DatasetError, DiesNotFound, WaferViewerError
+from wafer_viewer.model.inspection.defect import (
+    Against,
+    Defect,
+    DefectRecipe,
+    Inspection,
+    Judgement,
+    require_dies_for,
+)
 from wafer_viewer.model.inspection.defect_classes import DefectClass
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import UndoHistory
 from wafer_viewer.session.core.commands import command
-from wafer_viewer.session.inspection.inspection_job import Against, Dies, inspect_dataset, mosaic_mark
+from wafer_viewer.session.inspection.inspection_job import Dies, inspect_dataset, mosaic_mark
 from wafer_viewer.session.state.inspection_state import InspectionState, product_of
 
 if TYPE_CHECKING:
@@ -45,7 +52,7 @@ class DefectController:
         self.files, self.views = files, views
         self._history: UndoHistory[Inspection | None] = UndoHistory(None)
         self._opened_for: tuple[Path, str] | None = None
-        self._work, self._problem, self._stamp = "", "", 0
+        self._work, self._problem, self._stamp, self._dies_missing = "", "", 0, False
 
     def watch(self) -> None:
         """Check whether the inspection is still valid whenever the surface changes."""
@@ -60,7 +67,7 @@ class DefectController:
         looked_at = self._looked_at
         if self._work and looked_at != self._opened_for:
             self._background.cancel(self._work)
-        self._problem, stored = "", None
+        self._problem, self._dies_missing, stored = "", False, None
         if looked_at is not None:
             try:
                 stored = read_inspection(self._library.result.path)
@@ -76,8 +83,8 @@ class DefectController:
         """Inspect the stitched surface for defects; the work can be cancelled.
 
         recipe: by default the last one saved for the product of the dataset. dies: a lattice, "found" to detect the
-        dies on the surface, or None: the job's, else detected. against: the reference of the comparison; without dies,
-        the fitted form.
+        dies on the surface, or None: the job's, else detected. against: the reference of the comparison; the fitted
+        form is compared only if asked for.
         """
         self._require_writable()
         if self._work:
@@ -86,7 +93,7 @@ class DefectController:
             raise DatasetError("There is no stitched surface yet: defects are searched for on that.")
         arguments = (self._library.dataset.path, self._library.result_name, recipe or self._own_recipe, dies, against)
         running = self._background.lead("Search for defects", inspect_dataset, *arguments, ended=self._ended)
-        self._work, self._opened_for, self._problem = running.id, self._looked_at, ""
+        self._work, self._opened_for, self._problem, self._dies_missing = running.id, self._looked_at, "", False
         self._show()
         return running.done
 
@@ -116,6 +123,7 @@ class DefectController:
         self._require_writable()
         if (inspection := self._history.value) is None:
             raise DatasetError("Limits are for what was found: inspect for defects first.")
+        require_dies_for(limits, bool(inspection.dies))
         if limits != inspection.recipe.limits:
             self._history.put(replace(inspection, recipe=replace(inspection.recipe, limits=limits)))
             self._save()
@@ -141,7 +149,7 @@ class DefectController:
             try:
                 self._take_over(done.result())
             except WaferViewerError as fault:
-                self._problem = str(fault)
+                self._problem, self._dies_missing = str(fault), isinstance(fault, DiesNotFound)
         self._show()
 
     def _take_over(self, new: Inspection) -> None:
@@ -170,7 +178,15 @@ class DefectController:
         self._stamp = _stamp(self._command_queue.now)
         stale = inspection is not None and inspection.mark not in ("", mosaic_mark(self._library.result))
         self._command_queue.change(
-            inspection=InspectionState(inspection, stale, self._problem, self._work, history.can_undo, history.can_redo)
+            inspection=InspectionState(
+                inspection,
+                stale,
+                self._problem,
+                self._dies_missing,
+                self._work,
+                history.can_undo,
+                history.can_redo,
+            )
         )
 
     @property

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
 from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.errors import ComputeError, DiesNotFound, MeasureError, WaferViewerError
-from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
-from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.defect import FORM_SEES, Against, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -52,9 +52,10 @@ Evidence = Literal["height", "picture", "both"]
 
 @dataclass(frozen=True, slots=True)
 class GivenDies:
-    """Die lattice given by an operator: pitch, lower left corner of die 0,0 (stage um) and size, or a job's file.
+    """Die lattice given by an operator: pitch, lower left corner of die 0,0 (stage um) and size, or a file's.
 
-    None: the dies of the dataset's own job, or detected on the surface; without a size dies are as large as their
+    None: the dies of the dataset's own job, or detected on the surface. Without a corner the dies are detected, next to
+    this pitch and of this size; with one they are as large as their pitch by default. job: a job, or a KLARF for its
     pitch. as_given: the dies are not fitted to the surface.
     """
 
@@ -66,12 +67,17 @@ class GivenDies:
     as_given: bool = False
 
     def __post_init__(self) -> None:
-        if (self.pitch_um is None) != (self.origin_um is None):
-            raise MeasureError("Dies are given by their pitch and the corner of one of them: give both, or neither.")
-        if self.pitch_um is None and (self.size_um is not None or self.angle_deg):
-            raise MeasureError("The size and the angle of dies go with their pitch and origin: give these too.")
+        if self.pitch_um is None and (self.size_um is not None or self.origin_um is not None):
+            raise MeasureError("The size and the corner of dies go with their pitch: give --pitch-um too.")
+        if self.origin_um is None and (self.angle_deg or self.as_given):
+            raise MeasureError("The angle of dies, and --as-given, go with their corner: give --origin-um too.")
         if self.pitch_um is not None and self.job is not None:
-            raise MeasureError("Dies are given by a job or by their pitch and origin: leave --job or --pitch-um out.")
+            raise MeasureError("Dies are given by a file or by their pitch: leave --job or --pitch-um out.")
+
+    def known(self, dataset_job: Job | None) -> bool:
+        """Return whether the place of dies is given or named by a job, so that none have to be detected."""
+        of_job = self.job is not None and not is_klarf(self.job)
+        return self.origin_um is not None or of_job or dies_of_job(dataset_job) is not None
 
     def on(self, surface: Mosaic, dataset_job: Job | None = None, evidence: Evidence = "both") -> FittedDies:
         """Return the dies over a surface; `dataset_job`: the job that it was scanned by.
@@ -81,11 +87,24 @@ class GivenDies:
         from wafer_viewer.measure.dies.die_lattice import find_dies, over_surface
         from wafer_viewer.measure.dies.given_lattice_fit import FittedDies
 
-        if self.pitch_um is not None:
+        if self.origin_um is not None:
             fitted = self._fitted(surface, self._lattice(), evidence)
             return FittedDies(over_surface(fitted.grid, surface), fitted.off)
-        named = self._of_file(dataset_job) if self.job is not None else dies_of_job(dataset_job)
-        return self._fitted(surface, named, evidence) if named else FittedDies(find_dies(surface, evidence=evidence))
+        if (size := self._size(dataset_job)) is None:
+            named = self._of_file(dataset_job) if self.job is not None else dies_of_job(dataset_job)
+            if named is not None:
+                return self._fitted(surface, named, evidence)
+        return FittedDies(find_dies(surface, evidence=evidence, size=size))
+
+    def _size(self, dataset_job: Job | None) -> DieSize | None:
+        """Return the pitch and size of dies whose place is not known: given, of a KLARF, or of an unaligned job."""
+        if self.pitch_um is not None:
+            width_um, height_um = self.size_um or (0.0, 0.0)
+            pitch = {"pitch_x_um": self.pitch_um[0], "pitch_y_um": self.pitch_um[1]}
+            return DieSize(**pitch, width_um=width_um, height_um=height_um)
+        if self.job is not None:
+            return size_of_klarf(self.job) if is_klarf(self.job) else None
+        return size_of_job(dataset_job) if dies_of_job(dataset_job) is None else None
 
     def _fitted(self, surface: Mosaic, grid: DieGrid, evidence: Evidence) -> FittedDies:
         from wafer_viewer.measure.dies.given_lattice_fit import FittedDies, fitted_dies
@@ -123,24 +142,31 @@ class GivenDies:
         return DieGrid.of(job.dies, job.alignment or Alignment())
 
 
-def dies_or_why(find: Callable[[], DieGrid], *, needed: bool) -> tuple[DieGrid | None, str]:
-    """Return the dies that `find` returns, or None and a short reason if it finds none.
-
-    Raises MeasureError if dies are needed, as for a golden die.
-    """
-    try:
-        return find(), ""
-    except DiesNotFound as fault:
-        if needed:
-            raise MeasureError(f"A golden die needs dies. {fault} Or compare with the fitted form.") from fault
-        return None, fault.brief
-
-
 def dies_of_job(job: Job | None) -> DieGrid | None:
     """Return the dies named by a scan's own job; None if it has no lattice, or the wafer was not aligned."""
     if job is None or job.dies is None or job.dies.listed or (job.marks is not None and job.alignment is None):
         return None
     return DieGrid.of(job.dies, job.alignment or Alignment())
+
+
+def size_of_job(job: Job | None) -> DieSize | None:
+    """Return the pitch and size of the dies of a job with a lattice."""
+    if job is None or job.dies is None or job.dies.listed:
+        return None
+    return DieSize(**{name: getattr(job.dies, name) for name in DieSize.__struct_fields__})
+
+
+def is_klarf(path: Path) -> bool:
+    """Return whether a file that names dies is a KLARF, not a job."""
+    return path.suffix.lower() != ".toml"
+
+
+def size_of_klarf(path: Path) -> DieSize:
+    """Return the pitch of the dies of a KLARF, which does not have their size."""
+    from wafer_viewer.store.tables.klarf import read_klarf
+
+    klarf = read_klarf(path)
+    return DieSize(pitch_x_um=klarf.pitch_x_um, pitch_y_um=klarf.pitch_y_um)
 
 
 # ------------------------------------------------------------------------------------------------------- inspection job
@@ -255,12 +281,10 @@ def _noise_of(planes: dict[str, NDArray[Any]]) -> NoiseModel:
     return NoiseModel(**facts, **shared)
 
 
-Against = Literal["dies", "form"]
-"""Reference of the comparison: the other dies or a golden die, or a form fitted to the surface."""
-Dies = DieGrid | Literal["found"] | None
-"""Source of the die lattice: a given one, detected on the surface, or None: the job's, else detected."""
+Dies = DieGrid | DieSize | Literal["found"] | None
+"""Source of the die lattice: given, detected with or without a known size, or None: the job's, else detected."""
 MARK_DIGITS = 16
-NOT_BY_DIES = "As asked"
+BY_FORM = "Or compare with the fitted form (--against form)."
 
 
 def inspect_dataset(
@@ -277,10 +301,10 @@ def inspect_dataset(
     """Inspect the stitched surface of a dataset for defects; nothing is stored.
 
     dies: a given lattice covers the full surface, whatever columns and rows it names. crew: runner of the die rows,
-    this process by default; the outcome is the same. If no dies are found, the surface is compared with the fitted
-    form, and a note gives the reason.
+    this process by default; the outcome is the same. against "form": with the dies of the job, if it names any.
 
-    Raises MeasureError if nothing can be inspected, DatasetError if there is no surface, ComputeError when stopped.
+    Raises DiesNotFound if dies are to be compared and none are found, MeasureError if nothing can be inspected,
+    DatasetError if there is no surface, ComputeError when stopped.
     """
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.dataset.dataset import Dataset
@@ -291,20 +315,19 @@ def inspect_dataset(
     surface, mark, job = stored.mosaic(), mosaic_mark(stored), data.scan.job
     recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
-    grid, no_dies = None, NOT_BY_DIES
-    if against == "dies":
-        grid, no_dies = dies_or_why(lambda: _die_grid(dies, data, surface), needed=golden is not None)
+    known = isinstance(dies, DieGrid) or dies_of_job(job) is not None
+    grid = _die_grid(dies, data, surface) if against == "dies" or known else None
     with _until_stopped(should_stop):
         inspection = inspect(
             surface,
             grid,
             recipe,
             golden,
+            against=against,
             calibration_valid=data.calibration_problem(today()) is None,
             progress=progress,
             should_stop=should_stop,
             rows_by=RowHands.of(crew or LocalRunner(), data.path, stored.path, should_stop),
-            no_dies=no_dies,
         )
     return replace(inspection, mark=mark)
 
@@ -331,6 +354,8 @@ def _die_grid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
 
     if isinstance(dies, DieGrid):
         return over_surface(fitted_dies(surface, dies).grid, surface)
+    if isinstance(dies, DieSize):
+        return find_dies(surface, size=dies)
     return find_dies(surface) if dies == "found" else GivenDies().on(surface, data.scan.job).grid
 
 
@@ -381,32 +406,33 @@ def inspected(
     recipe: DefectRecipe,
     given: GivenDies,
     golden: GoldenDie | None,
-    against: str,
+    against: Against,
     tell: Progress,
     hire: LocalOrCluster = LocalOrCluster(),
 ) -> Inspection:
-    """Inspect a surface for defects; the dies are given, from the job, or detected. `against` "form": without dies.
+    """Inspect a surface for defects; the dies are given, from the job, or detected.
 
-    If no dies are found, the surface is compared with the fitted form, and a note gives the reason. Raises MeasureError
-    if nothing can be inspected.
+    against "form": with given dies or those of the job, if any. Raises DiesNotFound if dies are to be compared and none
+    are found, MeasureError if nothing can be inspected.
     """
     from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.records.inspection_records import carry_over
 
     recipe_with_product = replace(recipe, product=recipe.product or wafer.sample.product)
-    grid, no_dies = None, NOT_BY_DIES
-    if against != "form":
-        grid, no_dies = dies_or_why(lambda: dies_on(wafer, given), needed=golden is not None)
+    try:
+        grid = dies_on(wafer, given) if against == "dies" or given.known(wafer.job) else None
+    except DiesNotFound as fault:
+        raise DiesNotFound(f"{fault} {BY_FORM} {FORM_SEES}") from fault
     with _rows_by(wafer, hire) as rows_by:
         inspection = inspect(
             wafer.surface,
             grid,
             recipe_with_product,
             golden,
+            against=against,
             calibration_valid=wafer.calibrated,
             progress=tell,
             rows_by=rows_by,
-            no_dies=no_dies,
         )
     return inspection if wafer.before is None else carry_over(wafer.before, inspection)
 

@@ -22,7 +22,7 @@ from wafer_viewer.draw.surface.texture_baking import bake, light_gain
 from wafer_viewer.model.errors import DatasetError, MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.inspection.defect import Defect, Inspection, verdict_of
+from wafer_viewer.model.inspection.defect import REFERENCES, Defect, Inspection, headline, verdict_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.feature import DecisionRule
@@ -347,7 +347,6 @@ MOST_ROWS, MOST_PICTURES = 40, 12
 
 The report gives the number of omitted ones, which the CSV and KLARF contain.
 """
-REFERENCES = {"dies": "the median of its dies", "golden": "a stored golden die", "form": "the fitted form"}
 HEADS = ("No.", "Class", "Die", "Height ± U, 95 %", "Length", "x, y of the stage, µm", "Judgement")
 
 
@@ -380,6 +379,7 @@ def _inspected(inspection: Inspection) -> Pairs:
     expected = inspection.expected_false_per_mm2
     false = f"{expected:.2g} per mm² expected" if expected is not None else "not known"
     return (
+        ("Result", headline(inspection).replace("mm2", "mm²")),
         ("Defects", number(len(inspection.found), 0)),
         ("Compared with", REFERENCES[inspection.reference]),
         ("Inspected", f"{inspection.inspected_mm2:.3g}\u202fmm²; unmeasured {inspection.unmeasured_mm2:.3g}\u202fmm²"),

@@ -26,13 +26,15 @@ from wafer_viewer.model.region import Region
 class InspectionState:
     """Inspection of the displayed surface; None if it was not inspected.
 
-    stale: the surface has been recomputed since. problem: why the last inspection failed, or cannot be read. work: id
-    of the running one. Equality is identity, because lists of thousands of defects are not compared.
+    stale: the surface has been recomputed since. problem: why the last inspection failed, or cannot be read;
+    dies_missing: because dies were not found. work: id of the running one. Equality is identity, because lists of
+    thousands of defects are not compared.
     """
 
     inspection: Inspection | None = None
     stale: bool = False
     problem: str = ""
+    dies_missing: bool = False
     work: str = ""
     can_undo: bool = False
     can_redo: bool = False

@@ -85,7 +85,7 @@ def test_dies_without_a_size_are_as_large_as_their_pitch():
     [
         (DefectForm(dies=GIVEN), "The pitch of the dies is not given: type it"),
         (DefectForm(dies=GIVEN, pitch_um="0 × 9"), "Pitch, µm is 0: it must be over 0"),
-        (DefectForm(dies=GIVEN, pitch_um="9 × 9"), "The corner of the dies is not given"),
+        (DefectForm(dies=GIVEN, corner_um="0, 0"), "The pitch of the dies is not given"),
         (
             DefectForm(dies=GIVEN, pitch_um="9 × 9", corner_um="0, 0", size_um="10 × 9"),
             "a die is at most as large as the pitch",
@@ -162,7 +162,8 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     assert limits == DefectLimits(max_per_die=3, max_per_mm2=0.5)
     assert text_of(limits) == ("3", "0.5")
     assert limits_of("", " ") == DefectLimits()
-    assert verdict(INSPECTION) == ""
+    assert "98.4 % of 0.62 mm² inspected, compared with the median of the dies" in verdict(INSPECTION)
+    assert "wv-note attention" in verdict(INSPECTION), "dies are not inspected, and no limits are set"
     beyond = verdict(replace(INSPECTION, recipe=DefectRecipe(limits=limits)))
     assert "Not within the limits" in beyond
     assert "so not clean" in beyond
@@ -170,7 +171,7 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     without_dies = replace(INSPECTION, grid=None, dies=(), recipe=DefectRecipe(limits=DefectLimits(max_per_die=9)))
     assert "No verdict: not all was inspected" in verdict(without_dies)
     assert "give the pitch and a corner of the dies" in verdict(without_dies)
-    scanned = tuple(replace(die, state="whole") for die in INSPECTION.dies)
+    scanned = tuple(replace(die, state="whole", defects=die.defects or 0) for die in INSPECTION.dies)
     loose = DefectLimits(max_per_die=9)
     assert "Within the limits" in verdict(replace(INSPECTION, dies=scanned, recipe=DefectRecipe(limits=loose)))
 

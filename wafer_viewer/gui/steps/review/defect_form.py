@@ -11,11 +11,19 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.number_field import PLACE, Pair, pair_of, pair_text
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Evidence, Inspection, verdict_of
-from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.defect import (
+    Against,
+    DefectLimits,
+    DefectRecipe,
+    Evidence,
+    Inspection,
+    headline,
+    verdict_of,
+)
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, Setting, Spec, replace
-from wafer_viewer.session.inspection.inspection_job import Against, Dies
+from wafer_viewer.session.inspection.inspection_job import Dies
 
 
 def text_of(limits: DefectLimits) -> tuple[str, str]:
@@ -33,19 +41,20 @@ def limits_of(per_die: str, per_mm2: str) -> DefectLimits:
 
 
 def verdict(inspection: Inspection) -> Markup:
-    """Return the verdict by the defect limits with its reasons, as HTML; empty without limits."""
+    """Return the first line of the result and the verdict with its reasons, as HTML."""
     limits = inspection.recipe.limits
-    if not limits.are_set:
-        return Markup()
     outcome = verdict_of(inspection, limits)
-    reasons = " ".join(outcome.why).replace("mm2", "mm²")
+    first, *why = (line.replace("mm2", "mm²") for line in (headline(inspection), *outcome.why))
+    reasons = " ".join((first, *why))
     match outcome.word:
+        case "pass" if limits.are_set:
+            note = html.note("good", "Within the limits", f"{first} {_allowed(limits)} allowed.")
         case "pass":
-            note = html.note("good", "Within the limits", f"{outcome.counted} counted, {_allowed(limits)} allowed.")
+            return html.remark(first)
         case "fail":
             note = html.note("fault", "Not within the limits", reasons)
         case _:
-            note = html.note("fault", "No verdict: not all was inspected", reasons)
+            note = html.note("fault" if limits.are_set else "attention", "No verdict: not all was inspected", reasons)
     return Markup('<div class="wv-blind">{}</div>').format(note)
 
 
@@ -98,8 +107,8 @@ class DefectForm(Spec, frozen=True, kw_only=True):
         OF_JOB
     )
     pitch_um: Annotated[str, Setting("Pitch, µm", "From die to die, x × y")] = ""
-    corner_um: Annotated[str, Setting("Corner, µm", "Lower left corner of die 0,0, stage x, y")] = ""
-    size_um: Annotated[str, Setting("Die, µm", "Width × height; empty: as the pitch")] = ""
+    corner_um: Annotated[str, Setting("Corner, µm", "Lower left one of die 0,0, stage x, y; empty: found")] = ""
+    size_um: Annotated[str, Setting("Die, µm", "Width × height; empty: found, or as the pitch")] = ""
     angle_deg: Annotated[float, Setting("Angle, °", "Anticlockwise", decimals=4, step=0.01)] = 0.0
     product: Annotated[str, Setting("Product", "A golden die of another product is refused")] = ""
     scales_px: Annotated[str, Setting("Filters, px", "Filter widths; 0: unfiltered, at most 40")] = ""
@@ -150,24 +159,26 @@ def against_of(form: DefectForm) -> Against:
 
 
 def dies_of(form: DefectForm) -> Dies:
-    """Return the source of dies: None (the job's), "found", or a given grid; without a size, dies fill the pitch.
+    """Return the source of dies: None (the job's), "found", a given grid, or without a corner a size to search by.
 
-    Raises MeasureError if the pitch or the corner is missing, or if dies are larger than their pitch.
+    Without a size, given dies fill the pitch. Raises MeasureError if the pitch is missing, or if dies are larger.
     """
     if form.dies != GIVEN or form.compare == FORM:
         return "found" if form.dies == FOUND else None
     pitch, corner = _pair(form.pitch_um, "Pitch, µm", over=0), _pair(form.corner_um, "Corner, µm")
     if pitch is None:
         raise MeasureError("The pitch of the dies is not given: type it, such as 300 × 200, or have the dies found.")
-    if corner is None:
-        raise MeasureError("The corner of the dies is not given: type stage x, y of the lower left one of die 0,0.")
     pitch_x, pitch_y = pitch
-    width, height = _pair(form.size_um, "Die, µm", over=0) or pitch
+    size = _pair(form.size_um, "Die, µm", over=0)
+    width, height = size or pitch
     if width > pitch_x or height > pitch_y:
         raise MeasureError(
             f"The dies are {width:g} x {height:g} um and their pitch {pitch_x:g} x {pitch_y:g} um: "
             "a die is at most as large as the pitch."
         )
+    if corner is None:
+        known = {"width_um": width, "height_um": height} if size is not None else {}
+        return DieSize(pitch_x_um=pitch_x, pitch_y_um=pitch_y, **known)
     return DieGrid(
         pitch_x_um=pitch_x,
         pitch_y_um=pitch_y,

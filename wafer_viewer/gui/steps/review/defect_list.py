@@ -40,23 +40,18 @@ from wafer_viewer.gui.steps.review.dialogs import (
     place_of_other,
     recipes_dialog,
 )
-from wafer_viewer.gui.steps.review.inspection_form import PICKS, InspectionDraft, inspection_form, save
+from wafer_viewer.gui.steps.review.inspection_form import PICKS, InspectionDraft, inspect_by_form, inspection_form, save
 from wafer_viewer.gui.steps.review.judging import Review
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect import FORM_SEES, REFERENCES, Defect, Inspection
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace, settings_of
 from wafer_viewer.session.state.inspection_state import InspectionState, OtherTool
 from wafer_viewer.session.state.snapshot import Snapshot
 
-REFERENCES = {
-    "dies": "compared with the median of the dies",
-    "golden": "compared with the golden die",
-    "form": "compared with the fitted form",
-}
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
     ("all", "All"),
     ("open", "Open"),
@@ -156,6 +151,7 @@ DEFECT_PICKS: Picks[DefectsState] = {
     "defect-form": lambda here, _: unfold(here),
     "defect-errand": _run,
     "defect-excluded": lambda here, key: edit_excluded_areas(here, proposed=key == "here"),
+    "defect-by-form": lambda here, _: inspect_by_form(here),
     "defect-filter": lambda here, _: here.keep(shows_filter=not here.own.shows_filter),
     "defect-sort": lambda here, sort: here.own.review.list_by(sort=sort),
     "defect-other": _go_to_other,
@@ -331,6 +327,8 @@ def summary(state: InspectionState) -> str:
     """Return warnings on the inspection, as HTML: failure, outdated surface, uninspected areas."""
     inspection = state.inspection
     problem = html.note("attention", "Inspection failed", state.problem) if state.problem else ""
+    if state.dies_missing:
+        problem += html.remark(html.link("Compare with the fitted form", "defect-by-form") + f" {FORM_SEES}")
     if inspection is None:
         return problem
     stale = (
@@ -379,7 +377,7 @@ def _facts(inspection: Inspection) -> list[str]:
     density = f", {number(n_found / area, 2)} per mm²" if area > 0 else ""
     words = {True: "SIMULATED · ", False: ""}[inspection.simulated]
     return [
-        f"{words}{n_found} on {number(area, 2)} mm²{density} · {REFERENCES[inspection.reference]}",
+        f"{words}{n_found} on {number(area, 2)} mm²{density} · compared with {REFERENCES[inspection.reference]}",
         f"Over {number(inspection.threshold_sigma, 1)} times the noise; expected to be false by noise alone: "
         f"{per_mm2(inspection.expected_false_per_mm2)}",
         *inspection.notes,

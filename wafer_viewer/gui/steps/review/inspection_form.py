@@ -20,6 +20,7 @@ from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.steps.review.defect_form import (
+    FORM,
     GIVEN,
     GOLDEN,
     DefectForm,
@@ -242,6 +243,12 @@ def inspect(here: Here[D]) -> None:
     verb = page.session.defects.inspect(recipe_of(form, here.own.recipe), dies_of(form), against_of(form))
     verb.add_done_callback(partial(_tell_refusal, page))
     page.redraw()
+
+
+def inspect_by_form(here: Here[D]) -> None:
+    """Inspect against the fitted form, as offered where no dies were found; a limit per die needs dies."""
+    here.keep(form=replace(here.own.form, compare=FORM, max_per_die=""))
+    inspect(here)
 
 
 def save(here: Here[D]) -> None:

@@ -212,7 +212,9 @@ def review_commands(review: Review) -> list[Command]:
     """Return the keyboard commands: next, previous, judge, classify, note."""
     icon = viser.Icon
 
-    def commands(name: str, key: str, sign: Any, act: Callable[[], None], alike: Callable[[], None]) -> list[Command]:
+    def commands(
+        name: str, key: str | None, sign: Any, act: Callable[[], None], alike: Callable[[], None]
+    ) -> list[Command]:
         together = Command(f"{name}, all alike", key, alike, sign, "shift", "Review", here=on_defect)
         return [Command(name, key, act, sign, group="Review"), together]
 
@@ -242,7 +244,7 @@ def review_commands(review: Review) -> list[Command]:
                 for kind, look in DEFECT_CLASSES.items()
                 for command in commands(
                     f"Class: {look.title}",
-                    look.key,
+                    look.key or None,
                     icon.TAG,
                     partial(review.classify, kind),
                     partial(review.judge_alike, "accepted", kind),

@@ -126,12 +126,12 @@ def classes(defect: Defect | None) -> Markup:
     if defect is None:
         return Markup()
     tiles = (
-        Markup('<span class="{}" aria-pressed="{}" title="Key {}" {}><kbd>{}</kbd>{} {}</span>').format(
+        Markup('<span class="{}" aria-pressed="{}" title="{}" {}>{}{} {}</span>').format(
             "on" if kind == defect.seen_as else "",
             str(kind == defect.seen_as).lower(),
-            look.key,
+            f"Key {look.key}" if look.key else look.title,
             html.command_pick("defect-class", kind, "Defects judged"),
-            look.key,
+            Markup("<kbd>{}</kbd>").format(look.key) if look.key else "",
             symbol_svg(look.shape, look.colour),
             look.title,
         )
