@@ -70,7 +70,7 @@ def planted(seed: int) -> Planted | None:
     z_um, grey = surface.z_um.astype(np.float64), surface.all_in_focus.astype(np.float64)
     pixel_um = surface.pixel_um
     rows, cols = np.indices(z_um.shape).astype(np.float64)
-    x_um, y_um = surface.x0_um + cols * pixel_um, surface.y0_um - rows * pixel_um
+    x_um, y_um = np.asarray(surface.x0_um + cols * pixel_um), np.asarray(surface.y0_um - rows * pixel_um)
     col, row, u, v = grid.to_die(x_um, y_um)
     on = (u >= 0) & (u <= grid.width_um) & (v >= 0) & (v <= grid.height_um)
     for at, (kind, size) in made.dies.items():

@@ -238,6 +238,8 @@ MARGIN_PX = 6.0
 """Margin of a cell beyond the pattern of a single row, px of the coarse surface."""
 BORDER_PX = 1.2
 """Distance from the border of the coarse surface, px, within which a pattern goes on beyond it."""
+ONE_DIE = 1.15
+"""Extent of the pattern along an axis, in known pitches, below which there is one die only; `bench_dies.py --given`."""
 SURE_DIES = 9
 """Number of dies accepted without streets; fewer may be any similar places."""
 ACROSS = 10
@@ -301,14 +303,21 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both", size: DieSize | N
     coarse = read_coarse(surface, evidence)
     pitch_px = (size.pitch_x_um / coarse.pixel_um, size.pitch_y_um / coarse.pixel_um) if size is not None else None
     periods = periods_of(coarse.layers, pitch_px)
-    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, periods.single, coarse.pixel_um)
+    found = refined(surface, rough_grid(coarse, periods), evidence, coarse.pixel_um, _single(periods), coarse.pixel_um)
     grid = with_streets(found, size)
     if size is None:
         _require_size(grid, periods, found)
-        _require_ends(grid, periods.single)
+        _require_ends(grid, _single(periods))
     if size is None and found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
         raise DiesNotFound(dissimilar_cells(f"Only {found.n_dies}", found.lattice))
-    return on_surface(grid, surface, periods.single)
+    return on_surface(grid, surface, _single(periods))
+
+
+def _single(periods: Periods) -> Single:
+    """Return the axes, x and y, along which the pattern is that of one die."""
+    along = ((periods.pitch_x, periods.right), (periods.pitch_y, periods.up))
+    x, y = (pitch is None or high - low < ONE_DIE * pitch for pitch, (low, high) in along)
+    return x, y
 
 
 def _require_size(grid: DieGrid, periods: Periods, found: Registered) -> None:
@@ -350,8 +359,8 @@ def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:
     Along an axis of a single row the cell covers the pattern and a margin.
     """
     rows, cols = coarse.shape
-    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um, cols, periods.single[0])
-    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um, rows, periods.single[1])
+    along = _cell(periods.pitch_x, periods.right, coarse.pixel_um, cols, _single(periods)[0])
+    up = _cell(periods.pitch_y, periods.up, coarse.pixel_um, rows, _single(periods)[1])
     c, s = math.cos(periods.angle_rad), math.sin(periods.angle_rad)
     return DieGrid(
         pitch_x_um=along[1],

@@ -99,8 +99,6 @@ class PeriodicityParameters:
         Excess of the correlation at a multiple of a lag over that at the lag, from which the period is doubtful.
     expected_within : float
         Relative distance from a given pitch within which the period is searched.
-    one_die : float
-        Extent of the pattern relative to the pitch below which there is one die only.
 
     Notes
     -----
@@ -143,7 +141,6 @@ class PeriodicityParameters:
     off_px: float = 1.5
     better: float = 0.12
     expected_within: float = 0.03
-    one_die: float = 1.15
 
 
 PERIODICITY = PeriodicityParameters()
@@ -186,13 +183,6 @@ class Periods:
     right: tuple[float, float]
     up: tuple[float, float]
     streets: tuple[bool, bool]
-
-    @property
-    def single(self) -> tuple[bool, bool]:
-        """Axes, x and y, along which the pattern is that of one die."""
-        along = ((self.pitch_x, self.right), (self.pitch_y, self.up))
-        x, y = (pitch is None or high - low < PERIODICITY.one_die * pitch for pitch, (low, high) in along)
-        return x, y
 
 
 def periods_of(layers: Sequence[Float32s], expected_px: tuple[float, float] | None = None) -> Periods:
