@@ -54,13 +54,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "e142", "sinf", "csv", "training")}
+    out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "e142", "sinf", "csv", "dies-csv", "training")}
     flags = [word for what, path in out.items() for word in (f"--{what}", path)]
     golden = ("--save-golden", str(tmp_path / "std"))
     status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *golden, "--max-per-die", "0"])
     reported = json.loads(capsys.readouterr().out)
     worst = reported["inspection"]["defects"][0]
     assert (status, worst["kind"], reported["inspection"]["grid"]["by"]) == (1, "particle", "found")
+    with Path(out["dies-csv"]).open() as file:
+        dies = {line["die"]: line for line in csv.DictReader(file)}
+    assert len(dies) == len(reported["inspection"]["dies"])
+    assert all(abs(float(die["tilt_x_mrad"])) < 1.0 for die in dies.values() if die["state"] == "whole")
     assert worst["die"] in reported["verdict"]["failing"]
     assert not any(worst["number"] in place["numbers"] for place in reported["repeats"])
     assert worst["center"] == pytest.approx(AT_UM, abs=2.0)
@@ -108,7 +112,7 @@ def test_dies_that_are_not_found_are_never_within_the_limits(folder: Path, capsy
     assert main([*call, "--against", "form", "--max-per-die", "0"]) == 2
     refused = capsys.readouterr()
     assert refused.out == ""
-    assert "No die is known, so defects per die cannot be counted: give the pitch" in refused.err
+    assert "No die is known, so nothing per die can be judged: give the pitch" in refused.err
     assert main([*call, "--against", "form", "--max-per-mm2", "1000"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"]["word"] == "pass"
     assert main([*call, "--against", "form", *GIVEN, "--as-given", "--max-per-die", "0"]) == 1

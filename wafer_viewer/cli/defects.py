@@ -50,10 +50,14 @@ def measure_defects(
     e142: File = None,
     sinf: File = None,
     csv: File = None,
+    dies_csv: File = None,
     training: Annotated[Path | None, arg(metavar="FOLDER")] = None,
     other: File = None,
     max_per_die: Count = None,
     max_per_mm2: Um = None,
+    max_tilt_mrad: Um = None,
+    max_offset_um: Um = None,
+    max_bow_um: Um = None,
     pitch_um: Pair = None,
     origin_um: Pair = None,
     size_um: Pair = None,
@@ -82,11 +86,15 @@ def measure_defects(
         klarf_version: Its version; lengths are in um in 1.2 and in nm in 1.8.
         e142: Write a wafer map, XML of SEMI E142; a die fails beyond the largest number of defects per die.
         sinf: Write a wafer map as SINF, a text.
-        csv: Write a table.
+        csv: Write a table of the defects.
+        dies_csv: Write a table of the dies: state, tilts, offset, bow and brightness of each with U.
         training: Write a folder of cut-outs with the classes given by the rules and by people.
         other: A KLARF of another tool: reports what both found and what only one of them found.
         max_per_die: Largest number of defects per die; the recipe's by default.
         max_per_mm2: Largest number of defects per inspected mm2; the recipe's by default.
+        max_tilt_mrad: Largest tilt of a die against the others; the recipe's by default.
+        max_offset_um: Farthest that a die may lie above or below the others; the recipe's by default.
+        max_bow_um: Largest bow of a die; the recipe's by default.
         pitch_um: From die to die along x and y; found by default. Without a corner dies are searched next to it.
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
         size_um: Width and height of a die without its street; found, or with a corner as the pitch, by default.
@@ -100,12 +108,14 @@ def measure_defects(
     from wafer_viewer.measure.defects.defect_builder import repeated_places
 
     given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), LocalOrCluster(scheduler, workers)
-    limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
+    planarity = {"max_tilt_mrad": max_tilt_mrad, "max_offset_um": max_offset_um, "max_bow_um": max_bow_um}
+    limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2, **planarity)
     _require_readable(other)
     wafer = wafer_of(src, result)
     used_recipe = _recipe(recipe, wafer, src, sensitivity, limits)
     stored = _golden(golden, against, used_recipe, src)
-    wanted: dict[Handover, Path | None] = {"e142": e142, "sinf": sinf, "csv": csv, "training": training}
+    wanted: dict[Handover, Path | None] = {"e142": e142, "sinf": sinf, "csv": csv, "dies": dies_csv}
+    wanted["training"] = training
     wanted["klarf18" if klarf_version == "1.8" else "klarf"] = klarf
     if e142 or sinf:
         require_die_limit(used_recipe.limits)

@@ -63,7 +63,7 @@ def wafer_of(across: int, n_defects: int, seed: int = 4) -> Inspection:
 
 
 def _defect(like: Defect, grid: DieGrid, number: int, rng: np.random.Generator) -> Defect:
-    kind = list(DEFECT_CLASSES)[int(rng.choice(len(DEFECT_CLASSES), p=SHARES))]
+    kind = list(DEFECT_CLASSES)[int(rng.choice(len(SHARES), p=SHARES))]
     col, row = (int(k) for k in np.round(rng.normal(0, grid.cols / 4, 2)))
     u, v, half = rng.uniform(20, 100), rng.uniform(20, 100), float(rng.uniform(2, 15))
     x, y = (float(um) for um in grid.to_stage(col, row, u, v))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.support.datasets.inspections import GRID, defect, inspection
+from tests.support.datasets.inspections import GRID, defect, inspection, lying
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, verdict_of
 from wafer_viewer.model.spec import replace
 
@@ -48,14 +48,23 @@ def test_the_limits_of_the_recipe_hold_where_no_others_are_given():
     assert (strict.are_set, DefectLimits().are_set) == (True, False)
 
 
+def test_dies_that_lie_farther_off_than_allowed_are_named_with_their_numbers():
+    found = inspection(measured={"0,1": lying(tilt_mrad=-4.0, bow_um=0.2), "1,0": lying(tilt_mrad=2.0, bow_um=-0.9)})
+    assert verdict_of(found, DefectLimits(max_tilt_mrad=5.0, max_bow_um=1.0, max_offset_um=1.0)).within
+    verdict = verdict_of(found, DefectLimits(max_tilt_mrad=3.0, max_bow_um=0.5))
+    assert (verdict.word, verdict.failing) == ("fail", ("0,1", "1,0"))
+    assert verdict.why == ("Tilt over 3 mrad: 0,1 (4).", "Bow over 0.5 um: 1,0 (0.9).")
+    assert DefectLimits(max_tilt_mrad=1.0).over(DefectLimits(max_bow_um=2.0)).of_dies == {"tilt": 1.0, "bow": 2.0}
+
+
 def test_defects_per_die_have_no_verdict_where_no_die_is_known():
     off_dies = replace(defect(1, "0,0", 5.0, 5.0), die="", in_die=None)
     loose = inspection(grid=None, dies=(), defects=(off_dies,), reference="form")
     verdict = verdict_of(loose, DefectLimits(max_per_die=0))
     assert (verdict.word, verdict.within) == ("no verdict", False)
     assert verdict.why == (
-        "No die is known, so defects per die were not counted: give the pitch and a corner of the dies, or limit the "
-        "defects per mm2.",
+        "No die is known, so nothing per die can be judged: give the pitch and a corner of the dies, or limit the "
+        "defects per mm2 instead.",
     )
     assert verdict_of(loose, DefectLimits(max_per_mm2=9.0)).word == "pass"
     assert verdict_of(loose, DefectLimits(max_per_die=0, max_per_mm2=0.1)).word == "fail"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 
-from tests.support.datasets.inspections import defect, inspection
-from wafer_viewer.store.tables.csv_tables import DEFECT_COLUMNS, defects_csv
+from tests.support.datasets.inspections import defect, inspection, lying
+from wafer_viewer.store.tables.csv_tables import DEFECT_COLUMNS, defects_csv, dies_csv
 
 
 def test_each_result_row_has_its_uncertainty_and_judge():
@@ -26,3 +26,13 @@ def test_each_result_row_has_its_uncertainty_and_judge():
 
 def test_a_clean_wafer_has_the_heads_alone():
     assert defects_csv(inspection()) == ",".join(DEFECT_COLUMNS) + "\n"
+
+
+def test_every_die_has_a_line_with_its_numbers_and_those_not_measured_are_empty():
+    found = inspection(states={"1,1": "missing"}, measured={"0,1": lying(tilt_mrad=-4.0, bow_um=0.9)})
+    lines = {line["die"]: line for line in csv.DictReader(io.StringIO(dies_csv(found)))}
+    assert len(lines) == 6
+    tilted = lines["0,1"]
+    assert (tilted["tilt_x_mrad"], tilted["U tilt_x_mrad"], tilted["bow_um"]) == ("-4", "0.2", "0.9")
+    assert (tilted["brightness_percent"], tilted["state"]) == ("3.1", "whole")
+    assert (lines["1,1"]["state"], lines["1,1"]["tilt_x_mrad"]) == ("missing", "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieMeasurement, DieStatus
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 
@@ -38,7 +38,24 @@ def defect(number: int, die: str, u_um: float, v_um: float, **changes: Any) -> D
     return Defect(**(values | changes))
 
 
-def inspection(*defects: Defect, states: dict[str, str] | None = None, **changes: Any) -> Inspection:
+def lying(tilt_mrad: float = 0.0, bow_um: float = 0.0) -> DieMeasurement:
+    """A die that is tilted along x and bowed."""
+    return DieMeasurement(
+        tilt_x=Quantity(value=tilt_mrad, unit="mrad", expanded=0.2, status="evaluated"),
+        tilt_y=Quantity(value=0.0, unit="mrad", expanded=0.2, status="evaluated"),
+        offset=Length(value_um=0.05, expanded_um=0.04, status="evaluated"),
+        bow=Length(value_um=bow_um, expanded_um=0.04, status="evaluated"),
+        brightness_fraction=0.031,
+        u_brightness_fraction=0.002,
+    )
+
+
+def inspection(
+    *defects: Defect,
+    states: dict[str, str] | None = None,
+    measured: dict[str, DieMeasurement] | None = None,
+    **changes: Any,
+) -> Inspection:
     """Six dies, all scanned but those that `states` says otherwise of."""
     reported = states or {}
     on = [d.die for d in defects if d.kind != "unmeasured"]
@@ -50,6 +67,7 @@ def inspection(*defects: Defect, states: dict[str, str] | None = None, **changes
             state=reported.get(GRID.name(col, row), "whole"),  # pyright: ignore[reportArgumentType]
             measured_fraction=0.98,
             defects=None if reported.get(GRID.name(col, row)) == "not scanned" else on.count(GRID.name(col, row)),
+            measured=(measured or {}).get(GRID.name(col, row)),
         )
         for col, row in GRID.places
     )

@@ -18,7 +18,7 @@ from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, Box, MapViewport, Ou
 from wafer_viewer.draw.colormaps import table
 from wafer_viewer.draw.number_format import THIN, number
 from wafer_viewer.model.inspection.defect import Inspection
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieNumber, DieStatus
 from wafer_viewer.model.job import JudgedDie
 from wafer_viewer.model.measurement.measurements import Site, SiteRanges
 from wafer_viewer.model.quantity import Word
@@ -91,6 +91,17 @@ def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> d
     """Return fills by die name: the opacity increases with the number of defects, which is the label."""
     most = max(counts.values(), default=0)
     return {name: DieFill(colour, 0.1 + 0.4 * n / most, f"{n}") for name, n in counts.items() if n}
+
+
+def fills_by_number(inspection: Inspection, name: DieNumber) -> dict[str, DieFill]:
+    """Return fills by die name: the colour has the sign of a number of the die, the opacity its size; both labelled."""
+    values = {die.name: die.measured.value(name) for die in inspection.dies if die.measured is not None}
+    most = max(map(abs, values.values()), default=0.0) or 1.0
+    colours = {True: "var(--fault)", False: "var(--accent)"}
+    return {
+        die: DieFill(colours[value >= 0], 0.05 + 0.55 * abs(value) / most, f"{value:.2g}")
+        for die, value in values.items()
+    }
 
 
 def die_frame(

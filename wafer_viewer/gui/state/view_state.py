@@ -20,6 +20,7 @@ from wafer_viewer.model.acquisition.characteristics import CalibrationKind
 from wafer_viewer.model.errors import WaferViewerError, parser_errors_as
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
+from wafer_viewer.model.inspection.die_grid import DieNumber
 from wafer_viewer.model.measurement.measuring_tool import ToolName
 from wafer_viewer.model.measurement.sections import OtherSurface
 from wafer_viewer.model.measurement.tool_options import Levelling
@@ -34,7 +35,7 @@ from wafer_viewer.session.state.snapshot import Fault
 
 
 DefectSort = Literal["size", "height", "score", "die", "class"]
-MapBy = Literal["class", "count"]
+MapBy = Literal["class", "count"] | DieNumber
 CLASS_TITLES = {"": "All"} | {kind: look.title for kind, look in DEFECT_CLASSES.items()}
 
 

@@ -8,32 +8,47 @@ from typing import Annotated, ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect_classes import ClassRules, DefectClass
-from wafer_viewer.model.inspection.die_grid import LEAST_KNOWN, DieGrid, DieStatus
+from wafer_viewer.model.inspection.die_grid import DIE_UNITS, LEAST_KNOWN, DieGrid, DieNumber, DieStatus
 from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity, Word
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import Count, Fraction, NonNegative, Spec, Within
+from wafer_viewer.model.spec import Count, Fraction, NonNegative, Spec, Within, replace
 
 # --------------------------------------------------------------------------------------------------------------- defect
 
 
 class DefectLimits(Spec, frozen=True, kw_only=True):
-    """Largest number of defects on one die, and per inspected mm2; None: no limit."""
+    """Largest number of defects on one die and per inspected mm2, and how far a die may lie off; None: no limit.
+
+    max_tilt_mrad, max_offset_um, max_bow_um: of every die, as an absolute value, relative to the others.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     max_per_die: Annotated[int, Within(0)] | None = None
     max_per_mm2: NonNegative | None = None
+    max_tilt_mrad: NonNegative | None = None
+    max_offset_um: NonNegative | None = None
+    max_bow_um: NonNegative | None = None
 
     @property
     def are_set(self) -> bool:
         """True if any limit is set."""
-        return self.max_per_die is not None or self.max_per_mm2 is not None
+        return self != DefectLimits()
+
+    @property
+    def of_dies(self) -> dict[DieNumber, float]:
+        """The limits that are set for the numbers of every die."""
+        limits: dict[DieNumber, float | None] = {
+            "tilt": self.max_tilt_mrad,
+            "offset": self.max_offset_um,
+            "bow": self.max_bow_um,
+        }
+        return {name: limit for name, limit in limits.items() if limit is not None}
 
     def over(self, others: DefectLimits) -> DefectLimits:
         """Return these limits, completed by those of `others`."""
-        per_die = others.max_per_die if self.max_per_die is None else self.max_per_die
-        per_mm2 = others.max_per_mm2 if self.max_per_mm2 is None else self.max_per_mm2
-        return DefectLimits(max_per_die=per_die, max_per_mm2=per_mm2)
+        own = {name: getattr(self, name) for name in self.__struct_fields__}
+        return replace(others, **{name: limit for name, limit in own.items() if limit is not None})
 
 
 Evidence = Literal["height", "picture", "both"]
@@ -294,7 +309,8 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     per_mm2 = len(counted) / area_mm2 if area_mm2 else None
     failing = _failing(counted, limits)
     lacking = tuple(die.name for die in inspection.dies if _lacks_area(die, inspection))
-    exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits))
+    lying = _lying_badly(inspection, limits)
+    exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits), *lying.values())
     undecided = (*_not_inspected(lacking, inspection), *_gaps(inspection), *_not_countable(inspection, limits))
     word: Word = "fail" if exceeded else "no verdict" if undecided else "pass"
     return DefectVerdict(
@@ -303,7 +319,7 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
         inspected_fraction=inspection.inspected_fraction,
         counted=len(counted),
         per_mm2=per_mm2,
-        failing=failing,
+        failing=tuple(dict.fromkeys((*failing, *(name for names in lying for name in names)))),
         not_inspected=lacking,
         why=(*exceeded, *undecided),
     )
@@ -403,6 +419,20 @@ def _too_many(failing: tuple[str, ...], limits: DefectLimits) -> tuple[str, ...]
     return (f"More than {most} on {dies}: {_listed(failing)}.",)
 
 
+def _lying_badly(inspection: Inspection, limits: DefectLimits) -> dict[tuple[str, ...], str]:
+    """Return a sentence for each limit of the dies that some exceed, by their names."""
+    found: dict[tuple[str, ...], str] = {}
+    measured = [(die.name, die.measured) for die in inspection.dies if die.measured is not None]
+    for name, limit in limits.of_dies.items():
+        off = [(die, abs(at.value(name))) for die, at in measured if abs(at.value(name)) > limit]
+        if off:
+            farthest = sorted(off, key=lambda one: -one[1])
+            names = tuple(f"{die} ({value:.3g})" for die, value in farthest)
+            sentence = f"{name.capitalize()} over {limit:g} {DIE_UNITS[name]}: {_listed(names)}."
+            found[tuple(die for die, _ in farthest)] = sentence
+    return found
+
+
 def _too_dense(per_mm2: float | None, limits: DefectLimits) -> tuple[str, ...]:
     if limits.max_per_mm2 is None or per_mm2 is None or per_mm2 <= limits.max_per_mm2:
         return ()
@@ -419,13 +449,13 @@ def _not_inspected(lacking: tuple[str, ...], inspection: Inspection) -> tuple[st
 
 
 def require_dies_for(limits: DefectLimits, dies: bool) -> None:
-    """Raise MeasureError for a limit of defects per die where no die is known."""
-    if limits.max_per_die is not None and not dies:
+    """Raise MeasureError for a limit of defects per die, or of the dies themselves, where no die is known."""
+    if (limits.max_per_die is not None or limits.of_dies) and not dies:
         raise MeasureError(NO_DIE_TO_COUNT_ON)
 
 
 NO_DIE_TO_COUNT_ON = (
-    "No die is known, so defects per die cannot be counted: give the pitch and a corner of the dies, or limit the "
+    "No die is known, so nothing per die can be judged: give the pitch and a corner of the dies, or limit the "
     "defects per mm2 instead."
 )
 

@@ -202,6 +202,21 @@ class DieMeasurement(Spec, frozen=True, kw_only=True):
         """Tilt of the die, without its direction."""
         return math.hypot(self.tilt_x.value, self.tilt_y.value)
 
+    def value(self, name: DieNumber) -> float:
+        """Return one of its numbers: mrad, um, or for the brightness percent."""
+        match name:
+            case "tilt":
+                return self.tilt_mrad
+            case "brightness":
+                return 100 * self.brightness_fraction
+            case _:
+                return getattr(self, name).value_um
+
+
+DieNumber = Literal["tilt", "offset", "bow", "brightness"]
+DIE_UNITS: dict[DieNumber, str] = {"tilt": "mrad", "offset": "um", "bow": "um", "brightness": "%"}
+"""Numbers of a die and their units."""
+
 
 class DieStatus(Spec, frozen=True, kw_only=True):
     """Status of one lattice position: scanned and measured fraction of its die, and number of defects.

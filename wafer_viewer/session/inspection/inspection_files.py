@@ -132,7 +132,7 @@ def _require_pitch(klarf: Klarf, grid: DieGrid, name: str) -> None:
 # ----------------------------------------------------------------------------------------------------- inspection files
 
 
-Handover = Literal["klarf", "klarf18", "e142", "sinf", "csv", "training"]
+Handover = Literal["klarf", "klarf18", "e142", "sinf", "csv", "dies", "training"]
 
 
 def write_klarf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
@@ -172,6 +172,15 @@ def write_csv(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     return path
 
 
+def write_dies(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
+    """Write a table of the dies for a spreadsheet."""
+    from wafer_viewer.store.io.atomic_files import write_text
+    from wafer_viewer.store.tables.csv_tables import dies_csv
+
+    write_text(path, dies_csv(inspection))
+    return path
+
+
 def write_training(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a folder of image crops with the classes assigned by the rules and by people."""
     from wafer_viewer.store.tables.training_set import write_training_set
@@ -185,6 +194,7 @@ WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
     "e142": write_e142,
     "sinf": write_sinf,
     "csv": write_csv,
+    "dies": write_dies,
     "training": write_training,
 }
 
@@ -251,6 +261,7 @@ TITLES: dict[Handover, str] = {
     "e142": "Wafer map",
     "sinf": "Wafer map",
     "csv": "Table of defects",
+    "dies": "Table of dies",
     "training": "Training set",
 }
 

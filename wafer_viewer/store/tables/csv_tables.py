@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.measurement.measurements import Bump, Chip
 from wafer_viewer.model.measurement.result_rows import Row, rows
 from wafer_viewer.model.measurement.sections import Section
@@ -129,6 +130,33 @@ def defects_csv(inspection: Inspection) -> str:
     table.writerow(DEFECT_COLUMNS)
     table.writerows(_row(defect) for defect in inspection.defects)
     return text.getvalue()
+
+
+DIE_COLUMNS = (
+    *("die", "column", "row", "state", "measured", "defects", "tilt_x_mrad", "U tilt_x_mrad", "tilt_y_mrad"),
+    *("U tilt_y_mrad", "offset_um", "U offset_um", "bow_um", "U bow_um", "brightness_percent", "u brightness_percent"),
+    "simulated",
+)
+
+
+def dies_csv(inspection: Inspection) -> str:
+    """Return the table of the dies; U is expanded (95 %), u standard (k = 1), empty if not evaluated."""
+    text = io.StringIO()
+    table = TableWriter(text)
+    table.writerow(DIE_COLUMNS)
+    simulated = "SIMULATED" if inspection.simulated else ""
+    table.writerows([*_die_cells(die), simulated] for die in inspection.dies)
+    return text.getvalue()
+
+
+def _die_cells(die: DieStatus) -> list[object]:
+    defects = "" if die.defects is None else die.defects
+    cells: list[object] = [die.name, die.col, die.row, die.state, f"{die.measured_fraction:.3f}", defects]
+    if (at := die.measured) is None:
+        return [*cells, *[""] * 10]
+    pairs = (_pair(number) for number in (at.tilt_x, at.tilt_y, at.offset.quantity, at.bow.quantity))
+    shine = f"{100 * at.brightness_fraction:.4g}", f"{100 * at.u_brightness_fraction:.2g}"
+    return [*cells, *(cell for pair in pairs for cell in pair), *shine]
 
 
 def _row(defect: Defect) -> list[object]:

@@ -11,6 +11,7 @@ import pytest
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions.inspected_session import GRID, PLANTED, found
 from tests.browser.sessions.inspected_states import wafer_of
+from tests.support.datasets.inspections import inspection, lying
 from wafer_viewer.draw.charts.die_map import die_frame
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.state.view_state import DefectListing, View, next_die, next_kind
@@ -177,6 +178,17 @@ def test_by_class_every_defect_has_its_sign_and_by_count_every_die_its_number():
     assert by_count.count("</text>") == 7  # an area without heights is no defect
     assert "12 clean" in by_count
     assert "1 not scanned" in by_count
+
+
+def test_by_tilt_every_measured_die_has_its_number_and_the_farthest_are_listed_with_u():
+    found = inspection(measured={"0,1": lying(tilt_mrad=-4.0), "1,0": lying(tilt_mrad=2.0, bow_um=0.9)})
+    frame = die_frame(found)
+    by_tilt = map_html(frame, found, (), DefectListing(map_by="tilt"))
+    assert sorted(float(text) for text in re.findall(r">([\d.]+)</text>", by_tilt)) == [2.0, 4.0]
+    rows = re.findall(r"<tr.*?</tr>", by_tilt, re.DOTALL)
+    assert ("0,1" in rows[1], "-4.00 ± 0.20" in rows[1], "+3.1" in rows[1]) == (True, True, True)
+    assert "0.900 ± 0.040" in rows[2]
+    assert "No die was measured" in map_html(frame, inspection(), (), DefectListing(map_by="bow"))
 
 
 def test_what_is_not_listed_is_not_on_the_map():

@@ -153,15 +153,17 @@ def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name()
 def test_what_is_folded_away_is_told_in_a_line():
     assert "no limits" in advanced_settings_header(form_of(DefectRecipe(), None), False)
     line = advanced_settings_header(form_of(KEPT, None), False)
-    assert "Picture; filters 0, 2.5 px; dies: the job's, or found; at most 3 per die and 0.1 per mm²" in unescape(line)
+    assert "Picture; filters 0, 2.5 px; dies: the job's, or found; at most 3 defects per die and 0.1" in unescape(line)
     assert "filters" not in advanced_settings_header(form_of(KEPT, None), True)
 
 
 def test_limits_are_typed_and_lead_to_a_verdict():
-    limits = limits_of("3", " 0.5 ")
+    limits = limits_of(DefectForm(max_per_die="3", max_per_mm2=" 0.5 "))
     assert limits == DefectLimits(max_per_die=3, max_per_mm2=0.5)
-    assert text_of(limits) == ("3", "0.5")
-    assert limits_of("", " ") == DefectLimits()
+    none = {"max_tilt_mrad": "", "max_offset_um": "", "max_bow_um": ""}
+    assert text_of(limits) == {"max_per_die": "3", "max_per_mm2": "0.5", **none}
+    assert limits_of(DefectForm(max_per_mm2=" ")) == DefectLimits()
+    assert limits_of(DefectForm(max_tilt_mrad="4")) == DefectLimits(max_tilt_mrad=4)
     assert "98.4 % of 0.62 mm² inspected, compared with the median of the dies" in verdict(INSPECTION)
     assert "wv-note attention" in verdict(INSPECTION), "dies are not inspected, and no limits are set"
     beyond = verdict(replace(INSPECTION, recipe=DefectRecipe(limits=limits)))

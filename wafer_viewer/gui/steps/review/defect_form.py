@@ -25,19 +25,29 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, Setting, Spec, replace
 from wafer_viewer.session.inspection.inspection_job import Dies
 
+LIMITS = {
+    "max_per_die": "defects per die",
+    "max_per_mm2": "defects per mm2",
+    "max_tilt_mrad": "mrad of tilt",
+    "max_offset_um": "um of offset",
+    "max_bow_um": "um of bow",
+}
+"""Limits of the form, and their units in words."""
 
-def text_of(limits: DefectLimits) -> tuple[str, str]:
-    """Return the texts of the inputs per die and per mm²; empty for no limit."""
-    per_die, per_mm2 = limits.max_per_die, limits.max_per_mm2
-    return "" if per_die is None else f"{per_die}", "" if per_mm2 is None else f"{per_mm2:g}"
+
+def text_of(limits: DefectLimits) -> dict[str, str]:
+    """Return the texts of the inputs by name; empty for no limit."""
+    each = {name: getattr(limits, name) for name in LIMITS}
+    return {name: "" if limit is None else f"{limit:g}" for name, limit in each.items()}
 
 
-def limits_of(per_die: str, per_mm2: str) -> DefectLimits:
+def limits_of(form: DefectForm) -> DefectLimits:
     """Parse the limits. Raises MeasureError for text that is not a number, negative numbers, or fractions per die."""
-    most = _typed(per_die, "per die")
-    if most is not None and most != int(most):
-        raise MeasureError(f"At most {most:g} defects per die: give a whole number, 0 or more.")
-    return DefectLimits(max_per_die=None if most is None else int(most), max_per_mm2=_typed(per_mm2, "per mm2"))
+    most = {name: _typed(getattr(form, name), unit) for name, unit in LIMITS.items()}
+    per_die = most.pop("max_per_die")
+    if per_die is not None and per_die != int(per_die):
+        raise MeasureError(f"At most {per_die:g} defects per die: give a whole number, 0 or more.")
+    return DefectLimits(max_per_die=None if per_die is None else int(per_die), **most)
 
 
 def verdict(inspection: Inspection) -> Markup:
@@ -59,22 +69,20 @@ def verdict(inspection: Inspection) -> Markup:
 
 
 def _allowed(limits: DefectLimits) -> str:
-    per_die, per_mm2 = limits.max_per_die, limits.max_per_mm2
-    parts = [] if per_die is None else [f"{per_die} per die"]
-    return " and ".join(parts + ([] if per_mm2 is None else [f"{number(per_mm2, 3)} per mm²"]))
+    each = ((getattr(limits, name), unit) for name, unit in LIMITS.items())
+    parts = [f"{number(limit, 3)} {unit}" for limit, unit in each if limit is not None]
+    return " and ".join(parts).replace("mm2", "mm²").replace("um", "µm")
 
 
-def _typed(text: str, where: str) -> float | None:
+def _typed(text: str, unit: str) -> float | None:
     if not text.strip():
         return None
     try:
         most = float(text)
     except ValueError as fault:
-        raise MeasureError(
-            f"{text!r} is not a number of defects {where}: type one, or leave it empty for no limit."
-        ) from fault
+        raise MeasureError(f"{text!r} is not a number of {unit}: type one, or leave it empty for no limit.") from fault
     if not 0 <= most < float("inf"):
-        raise MeasureError(f"At most {text} defects {where}: it must be at least 0, or empty for no limit.")
+        raise MeasureError(f"At most {text} {unit}: it must be at least 0, or empty for no limit.")
     return most
 
 
@@ -115,6 +123,9 @@ class DefectForm(Spec, frozen=True, kw_only=True):
     excluded: tuple[Region, ...] = ()
     max_per_die: Annotated[str, Setting("Max. per die", "Defects allowed on a die; empty: no limit")] = ""
     max_per_mm2: Annotated[str, Setting("Max. per mm²", "Defects allowed in 1 mm²; empty: no limit")] = ""
+    max_tilt_mrad: Annotated[str, Setting("Max. tilt, mrad", "Of a die; empty: no limit")] = ""
+    max_offset_um: Annotated[str, Setting("Max. offset, µm", "Of a die, up or down; empty: no limit")] = ""
+    max_bow_um: Annotated[str, Setting("Max. bow, µm", "Of a die; empty: no limit")] = ""
 
 
 _SHARED = ("sensitivity", "evidence", "golden", "product", "excluded")
@@ -126,13 +137,11 @@ def form_of(recipe: DefectRecipe, inspection: Inspection | None, before: DefectF
     """Return the form of a recipe and of an inspection's die grid; the source of dies is kept from `before`."""
     by_form = inspection is not None and inspection.grid is None
     grid = inspection.grid if inspection is not None else None
-    per_die, per_mm2 = text_of(recipe.limits)
     return DefectForm(
         compare=GOLDEN if recipe.golden else FORM if by_form else DIE,
         dies=before.dies,
         scales_px=", ".join(f"{scale:g}" for scale in recipe.scales_px),
-        max_per_die=per_die,
-        max_per_mm2=per_mm2,
+        **text_of(recipe.limits),
         **{name: getattr(recipe, name) for name in _SHARED},
         **({name: getattr(before, name) for name in _LATTICE} if grid is None else _shown(grid)),
     )
@@ -149,7 +158,7 @@ def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
         )
     shared = {name: getattr(form, name) for name in _SHARED} | {"product": form.product.strip()}
     golden = form.golden if form.compare == GOLDEN else ""
-    limits = limits_of(form.max_per_die, form.max_per_mm2)
+    limits = limits_of(form)
     return replace(old, **{**shared, "golden": golden}, scales_px=_scales(form.scales_px), limits=limits)
 
 

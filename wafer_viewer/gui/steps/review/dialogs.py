@@ -146,6 +146,7 @@ FORMATS: dict[str, tuple[Handover, str]] = {
     "Wafer map, SEMI E142": ("e142", "-map.xml"),
     "Wafer map, SINF": ("sinf", "-map.sinf"),
     "CSV, a table": ("csv", "-defects.csv"),
+    "CSV of the dies": ("dies", "-dies.csv"),
     "Training set, a folder": ("training", "-training"),
 }
 KLARF_LOSES = (
@@ -161,6 +162,7 @@ LOSES: dict[Handover, str] = {
     "klarf18": f"{KLARF_LOSES} Places are in whole nm.",
     "e142": MAP_LOSES,
     "sinf": MAP_LOSES,
+    "dies": "It has state, tilts, offset, bow and brightness of every die with U, but no defects.",
     "csv": "It has every number with U and all text, but no pictures and no outlines.",
     "training": "Heights and picture round each defect, its features, your class and that of the rules. "
     "Unmeasured areas are left out. It takes a new folder.",

@@ -15,7 +15,15 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import symbol
-from wafer_viewer.draw.charts.die_map import DieFill, die_frame, die_shapes, fills_by_count, kinds_of, look_svg
+from wafer_viewer.draw.charts.die_map import (
+    DieFill,
+    die_frame,
+    die_shapes,
+    fills_by_count,
+    fills_by_number,
+    kinds_of,
+    look_svg,
+)
 from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, MapMark, MapViewport, Outline, map_marks_svg
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.elements.elements import Elements, Html
@@ -28,6 +36,8 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
+from wafer_viewer.model.inspection.die_grid import DIE_UNITS, DieNumber
+from wafer_viewer.model.quantity import Quantity, digits_of_u
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState, OtherTool
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -136,7 +146,9 @@ def _mark(defect: Defect) -> MapMark:
     return MapMark(defect.center.x_um, defect.center.y_um, look.colour, name, chosen=True, shape=look.shape)
 
 
-BY: dict[MapBy, str] = {"class": "class", "count": "count"}
+BY: dict[MapBy, str] = {name: name for name in ("class", "count", *DIE_UNITS)}
+MOST_DIES = 8
+"""Rows of the table of dies, those that lie or shine farthest off."""
 MOST_SIGNS = 400
 """With more defects no symbols are drawn, as they would overlap: dies have the colour of their commonest class."""
 CLASS_OPACITY, JUDGED_OPACITY, OTHER_HALF_PX = 0.45, 0.35, 6
@@ -152,14 +164,46 @@ def map_html(
 ) -> Markup:
     """Return the map of dies with the defects `defects`, and its legend; the SVG `over` is drawn on top."""
     many, by_class = len(defects) > MOST_SIGNS, listing.map_by == "class"
-    fills = fills_by_count(counts_of(defects)) if not by_class else fills_by_class(defects) if many else {}
+    if listing.map_by in ("class", "count"):
+        fills = fills_by_count(counts_of(defects)) if not by_class else fills_by_class(defects) if many else {}
+        table = Markup()
+    else:
+        fills, table = fills_by_number(inspection, listing.map_by), dies_table(inspection, listing.map_by)
     shapes = die_shapes(frame, inspection, fills, outline_um=outline_um, chosen=listing.die)
     signs = Markup("").join(_sign(frame, defect) for defect in defects) if by_class and not many else ""
     kinds = kinds_of(inspection.dies).items()
     legend = html.legend((look_svg(kind), f"{number(n, 0)} {kind}") for kind, n in kinds)
     note = "Each die has the colour of its commonest class." if by_class and many else ""
     below = Markup('<div class="wv-lab">{}</div>').format(note) if note else Markup()
-    return Markup('<div class="wv-dies-and">{}{}</div>{}').format(_svg(frame, shapes + signs + over), legend, below)
+    drawn = _svg(frame, shapes + signs + over)
+    return Markup('<div class="wv-dies-and">{}{}</div>{}{}').format(drawn, legend, below, table)
+
+
+def dies_table(inspection: Inspection, by: DieNumber) -> Markup:
+    """Return the table of the dies that are farthest off in a number, with U where it is known."""
+    dies = [(die, die.measured) for die in inspection.dies if die.measured is not None]
+    dies.sort(key=lambda one: -abs(one[1].value(by)))
+    if not dies:
+        return html.empty("No die was measured:", "inspect die to die.")
+    rows = [
+        html.row(
+            [
+                die.name,
+                *(_with_u(one) for one in (at.tilt_x, at.tilt_y, at.offset.quantity, at.bow.quantity)),
+                f"{100 * at.brightness_fraction:+.1f}",
+            ],
+            " nnnnn",
+        )
+        for die, at in dies[:MOST_DIES]
+    ]
+    heads = ["Die", "Tilt x, mrad", "Tilt y, mrad", "Offset, µm", "Bow, µm", "Bright, %"]
+    return html.table(heads, rows, " nnnnn")
+
+
+def _with_u(quantity: Quantity) -> str:
+    digits = digits_of_u(quantity.expanded) if quantity.expanded else 2
+    u = f" ± {quantity.expanded:.{digits}f}" if quantity.expanded else ""
+    return f"{quantity.value:.{digits}f}{u}"
 
 
 def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:

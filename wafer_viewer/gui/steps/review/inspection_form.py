@@ -23,6 +23,7 @@ from wafer_viewer.gui.steps.review.defect_form import (
     FORM,
     GIVEN,
     GOLDEN,
+    LIMITS,
     DefectForm,
     against_of,
     dies_of,
@@ -111,13 +112,13 @@ def advanced_settings_header(form: DefectForm, unfolded: bool) -> Markup:
     )
     if unfolded:
         return Markup('<div class="wv-h">More settings<span>{}</span></div>').format(link)
-    limits = [text for text in (form.max_per_die and f"{form.max_per_die} per die", _a_mm2(form.max_per_mm2)) if text]
+    limits = [f"{text} {unit}" for name, unit in LIMITS.items() if (text := getattr(form, name))]
     parts = (
         settings_of(DefectForm)["evidence"].setting.titles[form.evidence],
         f"filters {form.scales_px} px",
         *((areas(form),) if form.excluded else ()),
         f"dies: {form.dies[0].lower()}{form.dies[1:]}",
-        f"at most {' and '.join(limits)}" if limits else "no limits",
+        f"at most {' and '.join(limits)}".replace("mm2", "mm²") if limits else "no limits",
     )
     return Markup('<div class="wv-lab" style="margin:2px 0 6px">{} · {}</div>').format("; ".join(parts), link)
 
@@ -135,10 +136,6 @@ def areas(form: DefectForm) -> str:
     """Return the number of excluded areas in words."""
     n = len(form.excluded)
     return f"{n} {'area' if n == 1 else 'areas'} of every die excluded" if n else "the whole die is searched"
-
-
-def _a_mm2(text: str) -> str:
-    return f"{text} per mm²" if text else ""
 
 
 def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[tuple[GoldenHeader, str]]:
@@ -247,7 +244,8 @@ def inspect(here: Here[D]) -> None:
 
 def inspect_by_form(here: Here[D]) -> None:
     """Inspect against the fitted form, as offered where no dies were found; a limit per die needs dies."""
-    here.keep(form=replace(here.own.form, compare=FORM, max_per_die=""))
+    no_limits = {name: "" for name in LIMITS if name != "max_per_mm2"}
+    here.keep(form=replace(here.own.form, compare=FORM, **no_limits))
     inspect(here)
 
 
@@ -278,7 +276,7 @@ def _inputs(here: Here[D], *names: str, **state: Any) -> list[Input]:
 def _more(here: Here[D]) -> Elements:
     form = here.own.form
     given = form.dies == GIVEN and against_of(form) == "dies"
-    limits = inputs_of(form, partial(_put_limit, here), "max_per_die", "max_per_mm2", pause_s=COMMIT_S)
+    limits = inputs_of(form, partial(_put_limit, here), *LIMITS, pause_s=COMMIT_S)
     return [
         *_inputs(here, "evidence", "scales_px"),
         Html(exclusion_line_html(form)),
@@ -291,7 +289,7 @@ def _more(here: Here[D]) -> Elements:
 def _put_limit(here: Here[D], name: str, text: str) -> Future[None] | None:
     """Apply the limits to the present inspection; the verdict follows without another search."""
     _put(here, name, text)
-    limits, page = limits_of(here.own.form.max_per_die, here.own.form.max_per_mm2), here.page
+    limits, page = limits_of(here.own.form), here.page
     if page.session.snapshot.inspection.inspection is None:
         return None
     answer = page.session.defects.limit(limits)
@@ -345,8 +343,7 @@ def _take_up(here: Here[D]) -> None:
     if inspection is not None:
         recipe = inspection.recipe
         if recipe.limits != own.limits:
-            per_die, per_mm2 = text_of(recipe.limits)
-            own = replace(own, limits=recipe.limits, form=replace(own.form, max_per_die=per_die, max_per_mm2=per_mm2))
+            own = replace(own, limits=recipe.limits, form=replace(own.form, **text_of(recipe.limits)))
     source = (data.path if data is not None else None, replace(recipe, limits=DefectLimits()))
     if source != own.filled_from:
         own = replace(own, filled_from=source, recipe=recipe, form=form_of(recipe, inspection, own.form))
