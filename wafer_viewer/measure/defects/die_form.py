@@ -31,7 +31,7 @@ class DieFormParameters:
     blocks : int
         Number of blocks along each side of a die.
     block_px : int
-        Approximate number of pixels along a side of a block whose median is taken.
+        Largest number of pixels along a side of a block whose median is taken.
     least_known : float
         Smallest known fraction of a block.
     least_blocks : int
@@ -139,19 +139,23 @@ def _fitted(die: Plane) -> tuple[Floats, Floats, float] | None:
 
 def _blocks(plane: Plane) -> tuple[Floats, Floats, Floats]:
     """Return the medians of the blocks of a die, NaN where too little is known, and their middles, [block] each."""
-    sides = [max(1, min(DIE_FORM.blocks, n // 3)) for n in plane.shape]
-    edges = [np.linspace(0, n, side + 1).round().astype(int) for n, side in zip(plane.shape, sides, strict=True)]
-    medians = np.full(sides, np.nan)
-    for i, (top, bottom) in enumerate(zip(edges[0][:-1], edges[0][1:], strict=True)):
-        for j, (left, right) in enumerate(zip(edges[1][:-1], edges[1][1:], strict=True)):
-            steps = (max(1, (n + DIE_FORM.block_px - 1) // DIE_FORM.block_px) for n in (bottom - top, right - left))
-            down, across = steps
-            block = plane[top:bottom:down, left:right:across]
-            values = block[np.isfinite(block)]
-            if values.size > DIE_FORM.least_known * block.size:
-                medians[i, j] = np.median(values)
-    rows, cols = ((edge[:-1] + edge[1:] - 1) / 2 for edge in edges)
-    return medians.ravel(), np.repeat(rows, sides[1]), np.tile(cols, sides[0])
+    (rows, middle_rows), (cols, middle_cols) = (_samples(n) for n in plane.shape)
+    blocks = np.sort(plane[rows[:, None, :, None], cols[None, :, None, :]].reshape(len(rows) * len(cols), -1), axis=1)
+    known = np.isfinite(blocks).sum(axis=1)  # NaN goes last
+    each = np.arange(len(blocks))
+    low, high = (blocks[each, np.maximum(known - 1 + k, 0) // 2] for k in (0, 1))
+    medians = np.where(known > DIE_FORM.least_known * blocks.shape[1], (low + high) / 2, np.nan).astype(np.float64)
+    return medians, np.repeat(middle_rows, len(cols)), np.tile(middle_cols, len(rows))
+
+
+def _samples(n: int) -> tuple[NDArray[np.intp], Floats]:
+    """Return the sample pixels of each block along a side of a die of n pixels, [block, sample], and their middles."""
+    n_blocks = max(1, min(DIE_FORM.blocks, n // 3))
+    side = n / n_blocks
+    n_samples = min(DIE_FORM.block_px, max(1, round(side)))
+    within = (np.arange(n_samples) + 0.5) / n_samples
+    samples = np.floor((np.arange(n_blocks)[:, None] + within) * side).astype(np.intp)
+    return samples, samples.mean(axis=1)
 
 
 def _surface(coefficients: Floats, shape: tuple[int, ...]) -> Plane:

@@ -31,6 +31,7 @@ from wafer_viewer.gui.steps.review.defect_form import (
     verdict,
 )
 from wafer_viewer.gui.steps.review.inspection_form import (
+    PICKS,
     InspectionDraft,
     advanced_settings_header,
     expectation,
@@ -42,6 +43,7 @@ from wafer_viewer.gui.steps.review.inspection_form import (
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.defect_classes import ClassRules
+from wafer_viewer.model.inspection.die_grid import DieSize
 from wafer_viewer.model.spec import replace
 
 INSPECTION = found(PLANTED)
@@ -229,6 +231,18 @@ def test_what_is_set_is_what_is_inspected():
     ((verb, recipe, dies, against),) = here.page.asked
     assert (verb, recipe.evidence, recipe.scales_px, recipe.sensitivity) == ("inspect", "picture", (0.0, 3.0), 0.7)
     assert (dies, against) == (None, "form")
+
+
+def test_a_rectangle_between_equal_corners_of_two_dies_gives_the_pitch_to_search_by():
+    here, told = here_of(), []
+    here.page.say = lambda *words: told.append(words)
+    PICKS["defect-pitch"](here, "")
+    assert told[0][1].startswith("Select a rectangle on the surface first, from a corner of a die to the same corner")
+    here.page.view = replace(here.page.view, selection=(120.0, 80.5, 420.25, 280.5))
+    PICKS["defect-pitch"](here, "")
+    inputs(here)["Die, µm"].put("280 × 180")
+    inputs(here)["Inspect"].act()
+    assert here.page.asked[0][2] == DieSize(pitch_x_um=300.25, pitch_y_um=200.0, width_um=280.0, height_um=180.0)
 
 
 def test_limits_are_sent_to_the_inspection_that_is_there_only():

@@ -36,6 +36,7 @@ from wafer_viewer.gui.steps.review.defect_form import (
 from wafer_viewer.gui.steps.review.dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import COMMIT_S, tell_failure
+from wafer_viewer.gui.widgets.number_field import pair_text
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, threshold_of
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
@@ -281,9 +282,25 @@ def _more(here: Here[D]) -> Elements:
         *_inputs(here, "evidence", "scales_px"),
         Html(exclusion_line_html(form)),
         *_inputs(here, "dies"),
+        Html(html.remark(html.link("Pitch from a selected rectangle", "defect-pitch"))) if given else None,
         Stack(_inputs(here, "pitch_um", "corner_um", "size_um", "angle_deg")) if given else None,
         *(replace(limit, failed=NOT_LIMITED) for limit in limits),
     ]
+
+
+NO_RECTANGLE = (
+    "Select a rectangle on the surface first, from a corner of a die to the same corner of the next one along both "
+    "axes."
+)
+
+
+def _take_pitch(here: Here[D], _: str) -> None:
+    """Take the pitch from the selected rectangle, whose corners are equal corners of two dies; the place is found."""
+    if (box := here.page.view.selection) is None:
+        here.page.say("No pitch was taken", NO_RECTANGLE, "attention")
+        return
+    pitch = round(abs(box[2] - box[0]), 2), round(abs(box[3] - box[1]), 2)
+    here.keep(form=replace(here.own.form, dies=GIVEN, pitch_um=pair_text(pitch), corner_um=""))
 
 
 def _put_limit(here: Here[D], name: str, text: str) -> Future[None] | None:
@@ -329,6 +346,7 @@ def _ask_golden(here: Here[D], _: str) -> None:
 PICKS: dict[str, Callable[[Here[Any], str], Any]] = {
     "defect-golden": lambda here, name: _put(here, "golden", name),
     "defect-golden-file": _ask_golden,
+    "defect-pitch": _take_pitch,
     "defect-more": lambda here, _: here.keep(shows_more=not here.own.shows_more),
 }
 """What clicks on links and rows of the form do."""
