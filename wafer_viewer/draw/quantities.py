@@ -11,7 +11,8 @@ from wafer_viewer.draw.number_format import THIN, number, share, value_and_u
 from wafer_viewer.model.measurement.result_rows import Label, Row, rows
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.spec import SettingField, Spec, settings_of, value_at
+from wafer_viewer.model.surface.recipe import Recipe
 
 NO_U = {"not evaluated": "U not evaluated", "uncalibrated": "uncalibrated"}
 UNIT_SIGNS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad", "c": "°C"}
@@ -91,9 +92,49 @@ def figures(value: float | None) -> str:
     return number(value, min(MOST_DECIMALS, max(0, digits)))
 
 
+def short_number(value: float) -> str:
+    """Format a number to three significant digits, without zeros at its end."""
+    if isinstance(value, int) or not value or not math.isfinite(value):
+        return number(value, 0)
+    text = number(value, max(0, FIGURES - 1 - math.floor(math.log10(abs(value)))))
+    return text.rstrip("0").rstrip(".,") if "." in text or "," in text else text
+
+
 def place_text(place: Point) -> str:
     """Return x and y of a point."""
     return f"{number(place.x_um, 1)}, {number(place.y_um, 1)}"
+
+
+def setting_text(field: SettingField, value: Any, unit: str = "") -> str:
+    """Return the value of a setting as text: the title of a choice, yes or no, or a number with its unit."""
+    setting = field.setting
+    if setting.titles:
+        return setting.titles.get(value, f"{value}")
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        return f"{short_number(value)}{THIN}{unit or setting.unit}".rstrip(THIN)
+    return setting.empty if value is None else FROM_DATA if value == "auto" else f"{value}"
+
+
+FROM_DATA = "from the data"
+
+
+def recipe_rows(recipe: Recipe, requested: Recipe | None = None) -> list[tuple[str, str]]:
+    """Return title and value of the settings that have an effect; of those chosen by `requested` as ``auto`` alone."""
+    settings = settings_of(Recipe)
+    paths = [path for path in settings if path not in recipe.unused]
+    if requested is not None:
+        paths = [path for path in paths if value_at(requested, path) == "auto" != value_at(recipe, path)]
+        paths = [path for path in paths if path not in requested.unused]
+    guided = "× distance to the guide" if recipe.levy.mode == "guided" else ""
+    return [
+        (
+            settings[path].setting.title,
+            setting_text(settings[path], value_at(recipe, path), guided if path == "levy.alpha" else ""),
+        )
+        for path in paths
+    ]
 
 
 def settings_text(spec: Spec) -> str:

@@ -217,7 +217,7 @@ class Setting:
     """Label of a field that a person sets, in its annotation.
 
     title: with the unit behind a comma; about: sentence of the tooltip, without the limit; empty: meaning of an empty
-    field; titles: of the values of a choice; decimals and step: of a number.
+    field; titles: of the values of a choice; decimals and step: of a number; unit: of a number whose title has none.
     """
 
     title: str
@@ -226,6 +226,7 @@ class Setting:
     titles: Mapping[Any, str] = field(default_factory=dict[Any, str], hash=False)
     decimals: int = 0
     step: float = 1.0
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,30 +7,38 @@ import typing
 import pytest
 
 from tests.browser.sessions import fake_session as fake
+from wafer_viewer.draw.quantities import recipe_rows
 from wafer_viewer.gui.steps.surface import reconstruction as words
-from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.recipe import READY_RECIPES, Fill, Levy, Outliers, Recipe, Window
-
-CHOICES = [
-    (Recipe, "drift", words.DRIFT),
-    (Recipe, "focus_measure", words.FOCUS),
-    (Recipe, "peak", words.PEAK),
-    (Recipe, "edges", words.EDGES),
-    (Levy, "mode", words.SMOOTHING),
-    (Outliers, "mode", words.OUTLIERS),
-    (Fill, "mode", words.FILL),
-]
+from wafer_viewer.model.spec import Spec, replace, settings_of
+from wafer_viewer.model.surface.recipe import READY_RECIPES, Levy, Recipe, Window
 
 
-@pytest.mark.parametrize(("spec", "name", "names"), CHOICES)
-def test_every_choice_of_the_recipe_has_a_name(spec, name, names):
-    choices = typing.get_args(typing.get_type_hints(spec)[name])
-    assert sorted(names.values()) == sorted(choices)
+@pytest.mark.parametrize("path", settings_of(Recipe))
+def test_every_choice_of_the_recipe_has_a_title(path):
+    field = settings_of(Recipe)[path]
+    choices = [choice for kind in parts_of(field.kind) for choice in typing.get_args(kind)]
+    assert not choices or set(choices) <= {"auto", *field.setting.titles}
 
 
-def test_every_window_has_a_name():
+def parts_of(kind):
+    return typing.get_args(kind) if typing.get_origin(kind) is typing.Union else (kind,)
+
+
+def test_every_setting_of_the_recipe_has_a_title():
+    assert sorted(settings_of(Recipe)) == sorted(paths_of(Recipe()))
+    assert len({field.setting.title for field in settings_of(Recipe).values()}) == len(settings_of(Recipe))
+
+
+def paths_of(spec, before=""):
+    for name in spec.__struct_fields__:
+        value = getattr(spec, name)
+        yield from paths_of(value, f"{before}{name}.") if isinstance(value, Spec) else [f"{before}{name}"]
+
+
+def test_every_window_has_a_title():
     limit = typing.get_args(Window)[1]
-    assert [n for n in range(30) if n in limit] == [n for n in words.WINDOW.values() if n != "auto"]
+    titles = settings_of(Recipe)["window"].setting.titles
+    assert [n for n in range(30) if n in limit] == [n for n in titles if n != "auto"]
 
 
 def test_ready_recipes_go_by_their_names_and_others_are_ones_own():
@@ -44,23 +52,23 @@ def test_one_line_says_how():
 
 
 def test_only_what_was_left_to_the_data_is_told_as_chosen_by_them():
-    chosen = dict(words.chosen_by_data(Recipe(), fake.SETTLED))
+    chosen = dict(recipe_rows(fake.SETTLED, Recipe()))
     assert chosen["Window"] == "9\u202fpx"
     assert chosen["Width of a focus curve"] == "7.6\u202fµm"
     assert chosen["Confidence from"] == "0.24"
-    assert chosen["Camera noise, gain"] == "0.021 counts"
+    assert chosen["Camera noise, gain"] == "0.0213\u202fcounts"
     assert "Scale of the Lévy flights" not in chosen
-    by_hand = dict(words.chosen_by_data(replace(Recipe(), window=9, levy=Levy(mode="none")), fake.SETTLED))
+    by_hand = dict(recipe_rows(fake.SETTLED, replace(Recipe(), window=9, levy=Levy(mode="none"))))
     assert "Window" not in by_hand
-    assert words.chosen_by_data(fake.SETTLED, fake.SETTLED) == []
-    assert words.chosen_by_data(Recipe(), Recipe()) == []
+    assert recipe_rows(fake.SETTLED, fake.SETTLED) == []
+    assert recipe_rows(Recipe(), Recipe()) == []
 
 
-@pytest.mark.parametrize(("mode", "said"), [("literal", "0.50 µm"), ("guided", "0.50 × distance to the guide")])
+@pytest.mark.parametrize(("mode", "said"), [("literal", "0.5\u202fµm"), ("guided", "0.5\u202f× distance to the guide")])
 def test_flights_are_told_where_there_are_any(mode, said):
     requested = replace(Recipe(), levy=Levy(mode=mode))
     settled = replace(fake.SETTLED, levy=Levy(mode=mode, n_sigma=3.0, alpha=0.5, iterations=30))
-    assert dict(words.chosen_by_data(requested, settled))["Scale of the Lévy flights"] == said
+    assert dict(recipe_rows(settled, requested))["Scale of the Lévy flights"] == said
 
 
 def test_only_the_papers_method_believes_every_peak():

@@ -244,11 +244,11 @@ def test_an_edited_recipe_holds_for_its_dataset():
     assert "Preset" not in shown(here)
     pick(here, "recipe", "form")
     shown(here)["Smoothing"].put("None")
-    shown(here)["Window"].put("9 px")
+    shown(here)["Window"].put("9\u202fpx")
     assert (shown(here)["Smoothing"].value, shown(here)["Preset"].value) == ("None", OWN)
     shown(here)["Preset"].put("Default")
     assert shown(here)["Window"].value == "From the data"
-    shown(here)["Window"].put("9 px")
+    shown(here)["Window"].put("9\u202fpx")
     data = here.snapshot.dataset
     assert data is not None
     here.page.session.snapshot = replace(here.snapshot, dataset=replace(data, path=Path("other.wafer")))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import msgspec
 
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
-from wafer_viewer.model.spec import Positive, Spec, Within, replace
+from wafer_viewer.model.spec import Positive, Setting, Spec, Within, replace
 from wafer_viewer.model.surface.focus_measures import focus_measures
 
 Auto = Literal["auto"]
@@ -16,6 +16,78 @@ if TYPE_CHECKING:
     FocusMeasureName = str
 else:
     FocusMeasureName = Literal[tuple(focus_measures())]
+
+_PRIOR = "Standard deviation, before the overlaps are compared"
+_DEVIATION = "Deviation from the neighbourhood, in standard deviations of the noise"
+_DRIFT = Setting("Drift", "Correction of lateral drift between frames", titles={"correct": "Correct", "none": "Leave"})
+_FLICKER = Setting(
+    "Flicker", "Correction of light that changes from frame to frame", titles={"correct": "Correct", "none": "Leave"}
+)
+_FOCUS = Setting(
+    "Focus measure",
+    "Measure of sharpness",
+    titles={name: measure.title for name, measure in focus_measures().items()},
+)
+_WINDOW = Setting(
+    "Window",
+    "Pixels on a side over which focus is measured; odd",
+    titles={"auto": "From the data", **{n: f"{n}\u202fpx" for n in range(3, 27, 2)}},
+)
+_PEAK = Setting(
+    "Peak",
+    "Interpolation of the height between two frames",
+    titles={
+        "centred": "Centred",
+        "blur_law": "Blur law",
+        "tent": "Tent",
+        "gaussian": "Gaussian",
+        "argmax": "Highest frame",
+    },
+)
+_SECOND_WINDOW = Setting(
+    "Second window",
+    "Whether a window twice as wide must give the same height",
+    titles={True: "Must agree", False: "Not tested"},
+)
+_EDGES = Setting(
+    "Beside walls",
+    "Treatment of heights beside walls, where light bleeds",
+    titles={"rims": "Measure the rims", "band": "Only what agrees", "none": "Not tested"},
+)
+_SMOOTHING = Setting(
+    "Smoothing",
+    "Filter of the heights shown; measurements use the measured heights",
+    titles={
+        "sigma_filter": "Sigma filter",
+        "switching_median": "Switching median",
+        "guided": "Levy, guided",
+        "literal": "Levy, literal",
+        "none": "None",
+    },
+)
+_OUTLIERS = Setting(
+    "Outliers", "Isolated heights to remove", titles={"lattice": "Lattice", "cloud": "Cloud", "none": "None"}
+)
+_FILL = Setting(
+    "Fill",
+    "Gaps to fill; filled pixels are marked",
+    titles={"small_gaps": "Small gaps", "all": "All gaps", "none": "None"},
+)
+_POSES = Setting(
+    "Positions of the fields", "How they are found", titles={"registered": "By their overlaps", "stage": "By the stage"}
+)
+_BLEND = Setting(
+    "Blending of overlaps", "Weights of the fields", titles={"confidence": "By confidence", "ramp": "Linear ramps"}
+)
+_MEASURE_ON = Setting(
+    "Measured on",
+    "Heights that numbers are of",
+    titles={"unsmoothed": "Measured heights", "smoothed": "Filtered heights"},
+)
+
+
+FLIGHTS = ("literal", "guided")
+"""Modes of smoothing by Levy flights."""
 
 
 class Levy(Spec, frozen=True, kw_only=True):
@@ -26,12 +98,20 @@ class Levy(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    mode: Literal["none", "literal", "guided", "switching_median", "sigma_filter"] = "sigma_filter"
-    n_sigma: Positive | Auto = "auto"
-    alpha: Positive | Auto = "auto"
-    beta: Annotated[float, Within(0, 2, open_low=True)] = 1.5
-    iterations: Annotated[int, Within(1, 1000)] | Auto = "auto"
-    seed: Annotated[int, Within(0)] = 1
+    mode: Annotated[Literal["none", "literal", "guided", "switching_median", "sigma_filter"], _SMOOTHING] = (
+        "sigma_filter"
+    )
+    n_sigma: Annotated[Positive | Auto, Setting("Smoothing takes for noise, up to", _DEVIATION, unit="σ")] = "auto"
+    alpha: Annotated[
+        Positive | Auto, Setting("Scale of the Lévy flights", "Of guided flights in distances", unit="µm")
+    ] = "auto"
+    beta: Annotated[float, Within(0, 2, open_low=True), Setting("Index of the Lévy flights", "2 is a normal walk")] = (
+        1.5
+    )
+    iterations: Annotated[Annotated[int, Within(1, 1000)] | Auto, Setting("Rounds of smoothing", "Of the filter")] = (
+        "auto"
+    )
+    seed: Annotated[int, Within(0), Setting("Seed of the Lévy flights", "Start of their random numbers")] = 1
 
 
 class Outliers(Spec, frozen=True, kw_only=True):
@@ -41,10 +121,12 @@ class Outliers(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    mode: Literal["none", "lattice", "cloud"] = "lattice"
-    neighbours: Annotated[int, Within(4, 64)] = 15
-    n_sigma: Positive = 3.0
-    floor_um: Positive | Auto = "auto"
+    mode: Annotated[Literal["none", "lattice", "cloud"], _OUTLIERS] = "lattice"
+    neighbours: Annotated[int, Within(4, 64), Setting("Neighbours of a point", "That it is compared with")] = 15
+    n_sigma: Annotated[Positive, Setting("Outliers deviate by over", "From the mean distance", unit="σ")] = 3.0
+    floor_um: Annotated[Positive | Auto, Setting("Outlier threshold", "Least distance of an outlier", unit="µm")] = (
+        "auto"
+    )
 
 
 class Fill(Spec, frozen=True, kw_only=True):
@@ -54,16 +136,20 @@ class Fill(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    mode: Literal["none", "small_gaps", "all"] = "small_gaps"
-    max_gap_px: Annotated[int, Within(1, 10000)] = 9
+    mode: Annotated[Literal["none", "small_gaps", "all"], _FILL] = "small_gaps"
+    max_gap_px: Annotated[int, Within(1, 10000), Setting("Widest filled gap", "Along a row or column", unit="px")] = 9
 
 
 class Noise(Spec, frozen=True, kw_only=True):
     """Camera noise: the variance of a grey value is gain_counts x grey + floor_counts2; ``auto`` estimates it."""
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    gain_counts: Positive | Auto = "auto"
-    floor_counts2: Positive | Auto = "auto"
+    gain_counts: Annotated[Positive | Auto, Setting("Camera noise, gain", "Variance per grey value", unit="counts")] = (
+        "auto"
+    )
+    floor_counts2: Annotated[
+        Positive | Auto, Setting("Camera noise, floor", "Variance in the dark", unit="counts²")
+    ] = "auto"
 
 
 class Stitching(Spec, frozen=True, kw_only=True):
@@ -76,12 +162,14 @@ class Stitching(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    poses: Literal["registered", "stage"] = "registered"
-    blend: Literal["confidence", "ramp"] = "confidence"
-    search_um: Positive | Auto = "auto"
-    stage_error_um: Positive | Auto = "auto"
-    z_error_um: Positive | Auto = "auto"
-    tilt_error: Positive | Auto = "auto"
+    poses: Annotated[Literal["registered", "stage"], _POSES] = "registered"
+    blend: Annotated[Literal["confidence", "ramp"], _BLEND] = "confidence"
+    search_um: Annotated[
+        Positive | Auto, Setting("Search radius of a neighbour", "Round its stage position", unit="µm")
+    ] = "auto"
+    stage_error_um: Annotated[Positive | Auto, Setting("Error of the stage in x and y", _PRIOR, unit="µm")] = "auto"
+    z_error_um: Annotated[Positive | Auto, Setting("Error of the stage along z", _PRIOR, unit="µm")] = "auto"
+    tilt_error: Annotated[Positive | Auto, Setting("Error of the stage in tilt", _PRIOR, unit="µm/µm")] = "auto"
 
 
 class Recipe(Spec, frozen=True, kw_only=True):
@@ -96,22 +184,30 @@ class Recipe(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    drift: Literal["none", "correct"] = "correct"
-    flicker: Literal["none", "correct"] = "correct"
-    focus_measure: FocusMeasureName = "log_laplacian"
-    window: Window | Auto = "auto"
-    peak: Literal["argmax", "gaussian", "tent", "blur_law", "centred"] = "centred"
-    focus_width_um: Positive | Auto = "auto"
-    min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
-    clipped_fraction: Annotated[float, Within(0, 1)] = 0.75
-    compare_windows: bool = True
-    edges: Literal["none", "band", "rims"] = "rims"
+    drift: Annotated[Literal["none", "correct"], _DRIFT] = "correct"
+    flicker: Annotated[Literal["none", "correct"], _FLICKER] = "correct"
+    focus_measure: Annotated[FocusMeasureName, _FOCUS] = "log_laplacian"
+    window: Annotated[Window | Auto, _WINDOW] = "auto"
+    peak: Annotated[Literal["argmax", "gaussian", "tent", "blur_law", "centred"], _PEAK] = "centred"
+    focus_width_um: Annotated[Positive | Auto, Setting("Width of a focus curve", "At half its maximum", unit="µm")] = (
+        "auto"
+    )
+    min_confidence: Annotated[
+        Annotated[float, Within(0, 1)] | Auto, Setting("Confidence from", "Least confidence of a height")
+    ] = "auto"
+    clipped_fraction: Annotated[
+        float,
+        Within(0, 1),
+        Setting("Overexposed frames up to", "Share of a pixel's frames, beyond which it is refused"),
+    ] = 0.75
+    compare_windows: Annotated[bool, _SECOND_WINDOW] = True
+    edges: Annotated[Literal["none", "band", "rims"], _EDGES] = "rims"
     noise: Noise = Noise()
     levy: Levy = Levy()
     outliers: Outliers = Outliers()
     fill: Fill = Fill()
     stitching: Stitching = Stitching()
-    measure_on: Literal["unsmoothed", "smoothed"] = "unsmoothed"
+    measure_on: Annotated[Literal["unsmoothed", "smoothed"], _MEASURE_ON] = "unsmoothed"
 
     @classmethod
     def paper(cls) -> Recipe:
@@ -135,6 +231,20 @@ class Recipe(Spec, frozen=True, kw_only=True):
             stitching=Stitching(poses="stage", blend="ramp"),
             measure_on="smoothed",
         )
+
+    @property
+    def unused(self) -> frozenset[str]:
+        """Paths of the settings that have no effect beside the others."""
+        unused: set[str] = set()
+        if self.levy.mode not in FLIGHTS:
+            unused |= {"levy.alpha", "levy.beta", "levy.seed"}
+        if self.levy.mode == "none":
+            unused |= {"levy.n_sigma", "levy.iterations"}
+        if self.outliers.mode == "none":
+            unused |= {"outliers.neighbours", "outliers.n_sigma", "outliers.floor_um"}
+        if self.fill.mode != "small_gaps":
+            unused.add("fill.max_gap_px")
+        return frozenset(unused)
 
     @property
     def has_auto(self) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 from wafer_viewer._version import __version__
 from wafer_viewer.draw.charts.marked_map import MapKey, marked_map_svg
 from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.quantities import recipe_rows
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.job import keys_of_features, keys_under_review
@@ -40,7 +41,6 @@ from wafer_viewer.session.reporting.report_data import (
     outline_um,
     plan_pairs,
     positioner_pairs,
-    recipe_pairs,
     surface_pairs,
     unmeasured_words,
     verdict_text,
@@ -267,8 +267,8 @@ def _plan(material: Material) -> ReportSection:
 
 def _recipe(material: Material) -> ReportSection:
     settled = material.info.settled if material.info else None
-    pairs = recipe_pairs(settled or material.dataset.scan.job.recipe)
-    return ReportSection(PART_TITLES["recipe"], pairs=pairs)
+    pairs = recipe_rows(settled or material.dataset.scan.job.recipe)
+    return ReportSection(PART_TITLES["recipe"], pairs=tuple(pairs))
 
 
 def _calibration(material: Material) -> ReportSection:

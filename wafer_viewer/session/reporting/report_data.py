@@ -26,7 +26,6 @@ from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.roles import AuditEntry
-from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES, Mosaic
 from wafer_viewer.session.planning.job_releases import release_of
@@ -217,27 +216,6 @@ def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
 def positioner_pairs(readings: Iterable[PositionerReading]) -> Pairs:
     """Return the positions of light, objective, zoom, tilts and rotation at the start of a scan."""
     return tuple((f"{ROLES[one.role].title} ({one.name})", one.words) for one in readings)
-
-
-def recipe_pairs(spec: Spec, before: str = "") -> Pairs:
-    """Return every setting with its value; nested groups are listed one after the other."""
-    pairs: list[tuple[str, str]] = []
-    for name in spec.__struct_fields__:
-        value = getattr(spec, name)
-        if isinstance(value, Spec):
-            pairs += recipe_pairs(value, f"{before}{spaced(name)}: ")
-        else:
-            pairs.append((f"{before}{spaced(name)}", _setting(name, value)))
-    return tuple(pairs)
-
-
-def _setting(name: str, value: object) -> str:
-    if name == "focus_measure":
-        measure = focus_measures()[str(value)]
-        return f"{measure.title}: {measure.description}"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else f"{value}".replace("_", " ")
 
 
 def calibration_pairs(calibration: Calibration) -> Pairs:

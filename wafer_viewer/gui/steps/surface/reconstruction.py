@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,50 +13,35 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
+from wafer_viewer.draw.quantities import recipe_rows, setting_text
 from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Dropdown, Element, Elements, Html, Stack
+from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.dialogs import reconstruct_dialog
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.spec import with_field
+from wafer_viewer.model.spec import settings_of, value_at, with_field
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
-from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 from wafer_viewer.session.state.snapshot import OpenDataset, StitchingInfo, SurfaceInfo
 
 READY = {"Default": "default", "The paper's method": "paper"}
 OWN = "Custom"
 """Name of a recipe that matches no preset."""
-DRIFT = {"Correct": "correct", "Leave": "none"}
-FOCUS = {measure.title: name for name, measure in focus_measures().items()}
-WINDOW = {"From the data": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
-PEAK = {"Centred": "centred", "Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
-SECOND_WINDOW = {"Must agree": True, "Not tested": False}
-EDGES = {"Measure the rims": "rims", "Only what agrees": "band", "Not tested": "none"}
-SMOOTHING = {
-    "Sigma filter": "sigma_filter",
-    "Switching median": "switching_median",
-    "Levy, guided": "guided",
-    "Levy, literal": "literal",
-    "None": "none",
-}
-OUTLIERS = {"Lattice": "lattice", "Cloud": "cloud", "None": "none"}
-FILL = {"Small gaps": "small_gaps", "All gaps": "all", "None": "none"}
 BELIEVES_ALL = "Every peak is accepted: neither the second window nor walls are tested."
-_FLIES = ("literal", "guided")
 NOT_CHANGED = "The surface was not changed"
-_FORM: tuple[tuple[str, str, Mapping[str, Any], str], ...] = (
-    ("Drift", "drift", DRIFT, "Correction of lateral drift between frames"),
-    ("Focus measure", "focus_measure", FOCUS, "Measure of sharpness"),
-    ("Window", "window", WINDOW, "Pixels on a side over which focus is measured; odd"),
-    ("Peak", "peak", PEAK, "Interpolation of the height between two frames"),
-    ("Second window", "compare_windows", SECOND_WINDOW, "Whether a window twice as wide must give the same height"),
-    ("Beside walls", "edges", EDGES, "Treatment of heights beside walls, where light bleeds"),
-    ("Smoothing", "levy.mode", SMOOTHING, "Filter of the heights shown; measurements use the measured heights"),
-    ("Outliers", "outliers.mode", OUTLIERS, "Isolated heights to remove"),
-    ("Fill", "fill.mode", FILL, "Gaps to fill; filled pixels are marked"),
+_FORM = (
+    "drift",
+    "focus_measure",
+    "window",
+    "peak",
+    "compare_windows",
+    "edges",
+    "levy.mode",
+    "outliers.mode",
+    "fill.mode",
 )
-"""Label, field, names of the choices and hint, in the order in which the reconstruction uses the fields."""
+"""Settings in the order in which the reconstruction uses them."""
 _OF_DOUBTS = ("compare_windows", "edges")
 """Fields without effect if every peak is accepted."""
 
@@ -101,16 +85,14 @@ def _form(here: Here[Any], recipe: Recipe) -> Iterator[Element]:
         reconstruct_dialog(page, lambda: page.ask(NOT_CHANGED, page.session.reconstruct(recipe)))
 
     yield Dropdown("Preset", ready, preset, "All settings at once", options=(*READY, *((OWN,) if ready == OWN else ())))
-    for label, field, names, hint in _FORM:
-        yield Dropdown(
-            label,
-            option_name(names, attrgetter(field)(recipe)),
-            lambda name, field=field, names=names: choose(with_field(recipe, field, names[name])),
-            hint,
-            disabled=field in _OF_DOUBTS and not doubts,
-            options=tuple(names),
+    for path in _FORM:
+        yield from form(
+            recipe,
+            lambda path, value: choose(with_field(recipe, path, value)),
+            path,
+            disabled=path in _OF_DOUBTS and not doubts,
         )
-        if field == "edges":
+        if path == "edges":
             yield Html(Markup() if doubts else Markup('<div class="wv-why">{}</div>').format(BELIEVES_ALL))
     busy = data is None or data.read_only is not None or bool(here.snapshot.works)
     icon = viser.Icon.REFRESH
@@ -128,7 +110,7 @@ def _summary(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: froze
     """Return header, recipe in one line, values chosen from the data, and notes, as HTML."""
     requested = _requested_recipe(data, info)
     settled = (info.settled if info else None) or requested
-    values = chosen_by_data(requested, settled)
+    values = recipe_rows(settled, requested)
     links = [_link("values", "Details", unfolded)] if values else []
     links += [_link("form", "Change", unfolded)] if data else []
     ready = ready_name(requested)
@@ -153,11 +135,6 @@ def _link(part: str, name: str, unfolded: frozenset[str]) -> Markup:
     return html.link(shown, "recipe", part)
 
 
-def option_name(names: Mapping[str, Any], value: object) -> str:
-    """Return the display name of an option."""
-    return next(name for name, key in names.items() if key == value)
-
-
 def ready_name(recipe: Recipe) -> str:
     """Return the display name of a recipe: its preset, else ``Custom``."""
     return next((name for name, key in READY.items() if READY_RECIPES[key] == recipe), OWN)
@@ -170,14 +147,11 @@ def accepts_all_peaks(recipe: Recipe) -> bool:
 
 def summary(recipe: Recipe) -> str:
     """Describe a recipe in one line."""
-    return (
-        f"{option_name(FOCUS, recipe.focus_measure)} · window {_px(recipe.window)} · {option_name(PEAK, recipe.peak)}"
+    settings = settings_of(Recipe)
+    focus, window, peak = (
+        setting_text(settings[path], value_at(recipe, path)) for path in ("focus_measure", "window", "peak")
     )
-
-
-def chosen_by_data(requested: Recipe, settled: Recipe) -> list[tuple[str, str]]:
-    """Return name and value of each setting that is auto in `requested` and fixed in `settled`, in order of use."""
-    return [(name, text(settled)) for name, get, text in _AUTOMATIC if get(requested) == "auto" != get(settled)]
+    return f"{focus} · window {window[:1].lower()}{window[1:]} · {peak}"
 
 
 def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: str = "") -> Markup:
@@ -202,46 +176,6 @@ def _kind(group: list[str], sign: Any) -> Markup:
 def _sentence(text: str) -> str:
     """Format a note: micro signs, multiplication signs, a full stop."""
     return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.with_micro_sign(text)).rstrip(".") + "."
-
-
-def _px(window: int | str) -> str:
-    return "from the data" if isinstance(window, str) else with_unit(window, 0, "px")
-
-
-def _figures(value: float | str) -> str:
-    """Format a number to two significant digits."""
-    return number(float(value), digits_of_u(float(value)))
-
-
-def _flight(recipe: Recipe) -> str:
-    scale = _figures(recipe.levy.alpha)
-    return f"{scale} µm" if recipe.levy.mode == "literal" else f"{scale} × distance to the guide"
-
-
-_AUTOMATIC: tuple[tuple[str, Callable[[Recipe], Any], Callable[[Recipe], str]], ...] = (
-    ("Camera noise, gain", lambda r: r.noise.gain_counts, lambda r: f"{_figures(r.noise.gain_counts)} counts"),
-    ("Camera noise, floor", lambda r: r.noise.floor_counts2, lambda r: f"{_figures(r.noise.floor_counts2)} counts²"),
-    ("Window", lambda r: r.window, lambda r: _px(r.window)),
-    ("Width of a focus curve", lambda r: r.focus_width_um, lambda r: with_unit(float(r.focus_width_um), 1)),
-    ("Confidence from", lambda r: r.min_confidence, lambda r: number(float(r.min_confidence), 2)),
-    (
-        "Smoothing takes for noise",
-        lambda r: None if r.levy.mode == "none" else r.levy.n_sigma,
-        lambda r: f"up to {number(float(r.levy.n_sigma), 1)} σ",
-    ),
-    ("Scale of the Lévy flights", lambda r: r.levy.alpha if r.levy.mode in _FLIES else None, _flight),
-    (
-        "Rounds of smoothing",
-        lambda r: None if r.levy.mode == "none" else r.levy.iterations,
-        lambda r: number(float(r.levy.iterations), 0),
-    ),
-    (
-        "Outlier threshold",
-        lambda r: None if r.outliers.mode == "none" else r.outliers.floor_um,
-        lambda r: f"over {with_unit(float(r.outliers.floor_um), 2)}",
-    ),
-)
-"""Settings that may be auto: display name, getter (None if unused), formatter of the value."""
 
 
 BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."
