@@ -17,6 +17,8 @@ import tifffile
 from tests.support.command_line import process, refused, start, viewer
 from tests.support.paths import ROOT
 from wafer_viewer.cli.app import commands, main
+from wafer_viewer.model.spec import settings_of
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.surface import kernel_build
 from wafer_viewer.store.dataset.dataset import Dataset
 
@@ -469,3 +471,9 @@ def test_regions_off_the_surface_are_refused(surface):
     assert "lies outside" in far
     twice = refused("measure", "step", surface, "--upper", 600, 560, 640, 600, "--lower", 610, 560, 640, 600)
     assert "wafer-viewer: " in twice
+
+
+def test_help_explains_every_setting_of_a_recipe():
+    told = " ".join(viewer("reconstruct", "--help").stdout.split())
+    for field in settings_of(Recipe).values():
+        assert f"{field.setting.title}{f', {field.setting.unit}' if field.setting.unit else ''}. " in told

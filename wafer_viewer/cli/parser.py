@@ -12,7 +12,7 @@ from typing import NoReturn
 from tyro import _errors as parse_errors
 
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.spec import decode
+from wafer_viewer.model.spec import decode, settings_of
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 
 _NAMES = ", ".join(READY_RECIPES)
@@ -71,8 +71,18 @@ def unframed(text: str) -> str:
             if lines[-1][:2].strip():  # a title stands one column in, an explanation two
                 lines[-1] = f"{lines[-1].strip()}:"
         elif line or (lines and lines[-1]):
-            lines.append(line)
+            lines += [line, *_meaning(line)]
     return "\n".join(lines).rstrip()
+
+
+def _meaning(line: str) -> list[str]:
+    """Return the line that explains the flag of a setting of a recipe, from the setting's own label."""
+    flag = re.match(r" *--recipe\.(?:no-)?([\w.-]+)", line)
+    field = settings_of(Recipe).get(flag[1].replace("-", "_")) if flag else None
+    if field is None:
+        return []
+    unit = f", {field.setting.unit}" if field.setting.unit else ""
+    return [f"        {field.setting.title}{unit}. {field.hint}."]
 
 
 def _refuse(event: parse_errors.ParseErrorEvent, prog: str) -> NoReturn:

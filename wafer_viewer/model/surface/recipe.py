@@ -30,7 +30,7 @@ _FOCUS = Setting(
 )
 _WINDOW = Setting(
     "Window",
-    "Pixels on a side over which focus is measured; odd",
+    "Pixels on a side over which focus is measured",
     titles={"auto": "From the data", **{n: f"{n}\u202fpx" for n in range(3, 27, 2)}},
 )
 _PEAK = Setting(
