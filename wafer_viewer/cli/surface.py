@@ -26,7 +26,7 @@ from wafer_viewer.cli.output import audit, print_json, print_surface, progress, 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_contents import DATASET_ENDING
 from wafer_viewer.model.file_formats import with_suffixes
-from wafer_viewer.model.report import PARTS, Paper, Part, ReportOrder
+from wafer_viewer.model.report import PARTS, Language, Paper, Part, ReportOrder
 from wafer_viewer.model.surface.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
@@ -267,6 +267,7 @@ def report(
     number: str = "",
     customer: str = "",
     paper: Paper = "A4",
+    language: Language | None = None,
     parts: tuple[Part, ...] = PARTS,
     result: str = "default",
 ) -> None:
@@ -279,12 +280,13 @@ def report(
         number: Number of the report, on every page; the dataset's name and the day of the scan without one.
         customer: For whom it is made.
         paper: Size of the paper.
+        language: Of the report; that of laboratory.toml in the data folder, or English, without it.
         parts: Contents, in this order; all by default.
         result: Name of the reconstruction.
     """
     from wafer_viewer.session.reporting.report import make_report
 
-    order = ReportOrder(title=title, number=number, customer=customer, paper=paper, parts=parts)
+    order = ReportOrder(title=title, number=number, customer=customer, paper=paper, language=language, parts=parts)
     print(make_report(dataset, result, order, out))
 
 

@@ -100,6 +100,13 @@ def short_number(value: float) -> str:
     return text.rstrip("0").rstrip(".,") if "." in text or "," in text else text
 
 
+def power_of_ten(value: float) -> str:
+    """Format a small number to three significant digits as ``1.15 × 10⁻⁵``."""
+    exponent = math.floor(math.log10(abs(value)))
+    raised = f"{exponent}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{short_number(value / 10.0**exponent)}{THIN}×{THIN}10{raised}"
+
+
 def place_text(place: Point) -> str:
     """Return x and y of a point."""
     return f"{number(place.x_um, 1)}, {number(place.y_um, 1)}"
@@ -163,7 +170,7 @@ def _text(value: Any, label: Label, unit: str, field: str) -> str:
         case float() if unit:
             return with_unit_sign(number(value, label.digits, signed=label.signed), UNIT_SIGNS[unit])
         case float():
-            return f"{value:.3g}" if 0 < abs(value) < 0.01 else number(value, 3)
+            return power_of_ten(value) if 0 < abs(value) < 0.001 else number(value, 3 if abs(value) >= 0.01 else 5)
         case _:
             return f"{value}".replace("_", " ")
 

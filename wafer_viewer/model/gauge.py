@@ -142,7 +142,7 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
     temperature_c: Annotated[
         Annotated[float, Within(0, 50)] | None, Setting("Blocks, °C", "Temperature of the blocks")
     ] = None
-    u_temperature_c: NonNegative = 0.5
+    u_temperature_c: Annotated[NonNegative, Label("Uncertainty of temperature")] = 0.5
     tolerance_um: Annotated[Positive | None, Setting("Tolerance, µm", "Upper limit less lower of the product")] = None
     interval_days: Annotated[int, Within(1, 3660), Setting("Next in, days", "Days until the next check is due")] = 30
     least_repeats: Annotated[Count, Setting("Least scans", "Scans of the blocks that a verdict takes")] = 1

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import zoneinfo
 from dataclasses import dataclass
+from datetime import UTC, tzinfo
 from typing import ClassVar, Literal, get_args
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
@@ -17,7 +19,6 @@ Part = Literal[
     "features",
     "results",
     "defects",
-    "profiles",
     "gauge",
     "pictures",
     "plan",
@@ -35,7 +36,6 @@ PART_TITLES: dict[Part, str] = {
     "features": "Features",
     "results": "Results",
     "defects": "Defects",
-    "profiles": "Profiles",
     "gauge": "Gauge checks",
     "pictures": "Pictures",
     "plan": "Plan",
@@ -61,12 +61,15 @@ Pairs = tuple[tuple[str, str], ...]
 
 
 Paper = Literal["A4", "letter"]
+Language = Literal["en", "de"]
+LANGUAGES: dict[Language, str] = {"en": "English", "de": "Deutsch"}
 
 
 class ReportOrder(Spec, frozen=True, kw_only=True):
-    """Selection of a report's parts, its number, the customer and the size of its paper.
+    """Selection of a report's parts, its number, the customer, the size of its paper and its language.
 
-    Without a title the dataset's name is used, without a number that name with the day of the scan.
+    Without a title the dataset's name is used, without a number that name with the day of the scan, and without a
+    language that of the laboratory.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -74,13 +77,15 @@ class ReportOrder(Spec, frozen=True, kw_only=True):
     number: str = ""
     customer: str = ""
     paper: Paper = "A4"
+    language: Language | None = None
     parts: tuple[Part, ...] = PARTS
 
 
 class Laboratory(Spec, frozen=True, kw_only=True):
     """The laboratory that reports: the file ``laboratory.toml`` of a data folder.
 
-    accreditation: such as a body and its number; logo: name of a PNG or JPEG file in the data folder.
+    accreditation: such as a body and its number; logo: name of a PNG or JPEG file in the data folder; zone: IANA name
+    of its time zone, such as ``Europe/Berlin``, for the times in its reports.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -88,19 +93,34 @@ class Laboratory(Spec, frozen=True, kw_only=True):
     address: str = ""
     accreditation: str = ""
     logo: str = ""
+    language: Language = "en"
+    zone: str = "UTC"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            zone_of(self.zone)
+        except (zoneinfo.ZoneInfoNotFoundError, ValueError):
+            self.refuse("zone", "the name of a time zone that this machine knows, such as 'Europe/Berlin'")
+
+
+def zone_of(name: str) -> tzinfo:
+    """Return a time zone by its IANA name; UTC needs no data of the machine."""
+    return UTC if name == "UTC" else zoneinfo.ZoneInfo(name)
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
     """Header and rows of plain text; `right` has an 'n' for a column of numbers, a 'w' for one without word breaks.
 
-    drawn: generated SVG drawings, one for each row, in a last column that has a head only.
+    drawn: generated SVG drawings, one for each row, in a last column with the head `drawn_head`.
     """
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     right: str = ""
     drawn: tuple[str, ...] = ()
+    drawn_head: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +135,10 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """One result in full: main value, region it was measured on, further values, budget.
+    """One result in full: main value, its place and the profile across it, further values, budget.
 
-    missing: contributions not in its uncertainty. svg: generated drawing of its profile.
+    picture, profile: generated SVG drawings. missing: contributions not in its uncertainty; notes: on its value.
+    word: verdict on it.
     """
 
     number: str
@@ -125,10 +146,12 @@ class Sheet:
     below: str
     value: str
     picture: str = ""
-    svg: str = ""
+    profile: str = ""
     pairs: Pairs = ()
     budget: Table | None = None
     missing: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    word: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +190,10 @@ class Letterhead:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A complete report, as text and pictures; number: repeated on every page; scope: what it holds for."""
+    """A complete report, as text and pictures; number: repeated on every page; scope: what it holds for.
+
+    language: of the page; the texts are English until it is written. names: texts that are not translated.
+    """
 
     title: str
     below: str
@@ -178,3 +204,5 @@ class Report:
     scope: str = ""
     letterhead: Letterhead | None = None
     paper: Paper = "A4"
+    language: Language = "en"
+    names: frozenset[str] = frozenset()

@@ -64,7 +64,6 @@ class FakeNotebook(Recording):
 HELD: Contents = {
     "verdict": Holds("the job has no feature with limits", nothing=True),
     "results": Holds("no results yet", nothing=True),
-    "profiles": Holds("1 profile"),
     "gauge": Holds("no gauge-block check was kept", nothing=True),
     "pictures": Holds("no pictures yet: key P takes one", nothing=True),
     "surface": Holds("1 440 × 1 080 points"),

@@ -53,7 +53,7 @@ def test_what_was_done_to_the_dataset_and_its_job_stands_in_a_table(folder):
     assert released[3] == "Job released, coupon-A.toml"
     assert released[4].startswith("why: &lt;b&gt;new&lt;/b&gt; limits · SHA-256 ")
     assert (held[3], held[4]) == ("Frames held", "why: complaint about W1")
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", held[0])
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", held[0])
     assert contents(folder / "one.wafer", "default")["audit"].words == "2 entries on this dataset and its job"
 
 

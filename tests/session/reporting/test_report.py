@@ -22,7 +22,7 @@ from wafer_viewer.model.job import FeatureVerdict, Judgement, Notebook, WaferVer
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, ReportSection
+from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, ReportSection, zone_of
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.core.dataset_library import save_summary, summarise
@@ -101,12 +101,12 @@ def test_a_report_is_self_contained_and_has_no_scripts(dataset):
 def test_the_report_contains_measurements_and_judgements(dataset):
     report = report_of(dataset, RESULT, ReportOrder(parts=("results",)))
     ((number, name, kind, value, place, thought),) = report.sections[0].table.rows
-    assert (number, name, place, thought) == ("1", "Die <b>", "0.0, 0.0", "accepted · a burr")
+    assert (number, name, place, thought) == ("1", "Die <b>", "x\u202f0.0, y\u202f0.0\u202fµm", "accepted · a burr")
     assert kind == "Step height, measured heights"
     assert value.startswith("12.0")
     (sheet,) = report.sections[0].sheets
     assert (sheet.number, sheet.title, sheet.value) == ("1", "Die <b>", value)
-    assert sheet.picture.startswith("data:image/jpeg")
+    assert sheet.picture.count("data:image/jpeg") == 1
     assert sheet.budget is None, "without a calibration there is none"
     assert ("Lot", "L7") in report.facts
     assert report.simulated
@@ -169,11 +169,25 @@ def test_a_report_has_its_number_customer_laboratory_and_scope(dataset):
     assert (unnamed.number, unnamed.letterhead) == ("die & street-20260301", None)
 
 
-def test_a_date_that_cannot_be_read_stands_as_it_is(dataset):
-    material = gather(dataset, RESULT)
-    scan = replace(material.dataset.scan, taken="some day in March")
-    assert report_data.day_words(material.dataset.scan.taken) == "1 March 2026, 10:00"
-    assert report_data.day_words(scan.taken) == "some day in March"
+@pytest.mark.parametrize(
+    ("iso", "zone", "words"),
+    [
+        ("2026-03-01T10:00:12.345+00:00", "UTC", "2026-03-01 10:00 UTC"),
+        ("2026-03-01T10:00:12.345+00:00", "Europe/Berlin", "2026-03-01 11:00 +01:00"),
+        ("2026-07-01T23:30:00+00:00", "Europe/Berlin", "2026-07-02 01:30 +02:00"),
+        ("2026-03-01T10:00:00", "Europe/Berlin", "2026-03-01 10:00"),
+        ("2026-03-01", "Europe/Berlin", "2026-03-01"),
+        ("some day in March", "UTC", "some day in March"),
+    ],
+)
+def test_times_are_written_in_the_zone_of_the_laboratory_to_the_minute(iso, zone, words):
+    assert report_data.time_words(iso, zone_of(zone)) == words
+
+
+def test_an_unknown_time_zone_is_refused_with_the_file_that_names_it(tmp_path):
+    (tmp_path / "laboratory.toml").write_text('name = "Lab"\nzone = "Europe/Nowhere"\n')
+    with pytest.raises(DatasetError, match=r"laboratory.toml: .*'Europe/Nowhere': it must be the name of a time zone"):
+        report_data.laboratory_of(tmp_path)
 
 
 def test_every_page_names_the_content_by_its_checksum(dataset):
@@ -219,7 +233,7 @@ def test_only_what_was_ordered_goes_in_and_in_that_order(dataset):
 def test_whether_lengths_are_calibrated_is_asked_of_the_day_of_the_scan(dataset):
     calibration = report_of(dataset, RESULT, ReportOrder(parts=("calibration",))).sections[0]
     assert calibration.sentences == ()  # due in 2027, and today may be later
-    assert dict(calibration.pairs)["z scale"] == "1.01 ± 0.001 (k = 2)"
+    assert dict(calibration.pairs)["z scale"] == "1.0100 ± 0.0010 (k = 2)"
 
 
 def test_pictures_at_print_size_go_in_where_there_are_some(dataset):
@@ -246,7 +260,7 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
     monkeypatch.setattr(report, "gather", lambda *_: material)
     message = contents(dataset, RESULT)
     assert {part for part, holds in message.items() if holds.nothing} == {
-        *("verdict", "features", "results", "defects", "profiles", "gauge", "pictures", "surface", "audit")
+        *("verdict", "features", "results", "defects", "gauge", "pictures", "surface", "audit")
     }
     assert (message["results"].words, message["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))

@@ -22,6 +22,7 @@ from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.reporting.report import make_report, report_of
 from wafer_viewer.session.reporting.report_data import numbers_of
+from wafer_viewer.session.reporting.report_pictures import line_across
 from wafer_viewer.store.dataset import integrity
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import digests_of_result
@@ -103,8 +104,9 @@ def test_the_verdict_shows_every_die_with_its_word(report):
     assert [row[1] for row in reported.table.rows] == ["die over street, die 0,0", "die over street, die 0,<1>"]
     assert reported.figures[0].caption.startswith("2 dies: 2 pass.")
     (sheet,) = section(report, "Features").sheets
-    assert (sheet.number, sheet.below) == ("F1", "Step height")
-    assert sheet.picture.startswith("data:image/jpeg")
+    assert (sheet.number, sheet.below) == ("F1", "Step height · 11 to 12.5\u202fµm, guard band")
+    assert sheet.word == "PASS"
+    assert sheet.picture.startswith("<svg")
     assert sheet.budget.rows[0][0] == "z scale"
     combined, expanded = sheet.budget.rows[-2:]
     assert combined[0] == "combined, k = 1"
@@ -126,12 +128,24 @@ def test_places_of_features_and_results_are_numbered_on_the_map(report):
     assert "x, y in µm" in figure.svg
 
 
-def test_a_profile_is_drawn_as_a_curve_with_axes(report):
-    figure, rough = section(report, "Profiles").figures
-    assert rough.caption.startswith("7 · roughness 7")
-    assert figure.caption.startswith("2 · profile 2: 12.")
-    assert "Distance along the line, µm" in figure.svg
-    assert len(re.findall(r"[\d.]+ [\d.]+", figure.svg)) > 150
+def test_a_profile_across_its_place_is_drawn_beside_each_result(report):
+    sheets = {sheet.title: sheet for sheet in section(report, "Results").sheets}
+    assert all(sheet.picture.startswith("<svg") for sheet in sheets.values())
+    assert all("Distance along the line, µm" in sheet.profile for sheet in sheets.values())
+    assert len(re.findall(r"[\d.]+ [\d.]+", sheets["profile 2"].profile)) > 150
+    assert sheets["step 1"].profile.count("<rect") == 2, "both faces are shaded"
+    (feature,) = section(report, "Features").sheets
+    assert feature.profile.count("<rect") == 2
+
+
+def test_a_line_crosses_the_places_of_a_result():
+    upper, lower = Region.rectangle(-50, -30, -10, 30), Region.rectangle(10, -30, 50, 30)
+    line = line_across((upper, lower))
+    assert [(round(p.x_um, 6), round(p.y_um, 6)) for p in line.points] == [(-60, 0), (60, 0)]
+    assert line_across((Region.line(0, 0, 5, 5, 2),)) == Region.line(0, 0, 5, 5, 2)
+    (start, stop) = line_across((Region.point(3, 4),)).points
+    assert (start.y_um, stop.y_um) == (4, 4)
+    assert start.x_um < 3 < stop.x_um
 
 
 def test_data_is_identified_by_checksums_that_change_with_it(report, dataset, tmp_path, capsys):
@@ -180,10 +194,10 @@ def test_heights_over_a_levelled_zero_are_cut_again_from_it(dataset):
     before = result.findings()
     line = replace(before.items[1], levelling=Levelling(by="region", places=(FACE,)))
     result.save_findings(MeasurementResults(items=(line,)))
-    figure = section(report_of(dataset, RESULT, ReportOrder(parts=("profiles",))), "Profiles").figures[0]
+    (sheet,) = section(report_of(dataset, RESULT, ReportOrder(parts=("results",))), "Results").sheets
     result.save_findings(before)
-    assert "levelled by region" in figure.caption
-    assert ">\u221212<" in figure.svg or ">\u221210<" in figure.svg, "the other face lies below this zero"
+    assert "levelled by region" in sheet.below
+    assert ">\u221212<" in sheet.profile or ">\u221210<" in sheet.profile, "the other face lies below this zero"
 
 
 def test_a_gauge_check_among_the_results_stands_in_a_table_with_why_it_was_decided_so(dataset):
@@ -196,7 +210,7 @@ def test_a_gauge_check_among_the_results_stands_in_a_table_with_why_it_was_decid
     reported = section(report, "Gauge checks")
     (row,) = reported.table.rows
     assert row[0] == "7"
-    assert "blocks A1, A2, to 2026-12-31; signed by Ann, 2026-03-02 12:00." in reported.sentences[0]
+    assert "blocks A1, A2, to 2026-12-31; signed by Ann, 2026-03-02 12:00 UTC." in reported.sentences[0]
     assert checked.why.replace(" um", "\u202fµm") in reported.sentences[0]
     assert row[-1] == checked.verdict.upper()
     (sheet,) = section(report, "Results").sheets

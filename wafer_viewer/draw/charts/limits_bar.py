@@ -1,4 +1,4 @@
-"""A value with its U between the limits that it is judged by, as a small SVG drawing."""
+"""Small drawings of a table, SVG: a value with its U between the limits that it is judged by, and a share."""
 
 from __future__ import annotations
 
@@ -13,6 +13,18 @@ DOTS: dict[Word, str] = {"pass": "#18794E", "fail": "#B42318", "inconclusive": "
 _WIDE_PX, _HIGH_PX = 150, 18
 _BEYOND = 0.25
 """Room beside the limits, as a share of their distance."""
+
+
+SHARE, _SHARE_PX = "#0B6E99", (64, 8)
+
+
+def share_bar_svg(share: float) -> Markup:
+    """Return a share of 1 as a bar."""
+    shape = (
+        '<svg width="{0}" height="{1}" viewBox="0 0 {0} {1}" aria-hidden="true">'
+        '<rect width="{0}" height="{1}" rx="2" fill="{2}"/><rect width="{3:.1f}" height="{1}" rx="2" fill="{4}"/></svg>'
+    )
+    return Markup(shape).format(*_SHARE_PX, RAIL, share * _SHARE_PX[0], SHARE)
 
 
 def limits_bar_svg(feature: Feature, quantity: Quantity | None, word: Word) -> Markup:

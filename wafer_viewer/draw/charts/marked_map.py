@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import Axis, ChartAxes, round_ticks
-from wafer_viewer.draw.colormaps import table
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS, table
 from wafer_viewer.draw.number_format import length_text, round_length
 from wafer_viewer.model.region import Region
 
@@ -73,15 +73,45 @@ def marked_map_svg(
 
 def _marked(axes: ChartAxes, mark: Mark) -> Markup:
     """Return the outlines of a place, white with a dark rim so that they stand out of any picture, and its number."""
-    outlines = " ".join(_outline(axes, region) for region in mark.regions)
     boxes = [region.bounds_um for region in mark.regions]
     at_x, at_y = (axes.x.at(min(box[0] for box in boxes)), axes.y.at(max(box[3] for box in boxes)))
+    return _outlined(axes, mark.regions) + Markup(
+        '<circle cx="{0:.1f}" cy="{1:.1f}" r="{2}" fill="{3}" stroke="{4}" stroke-width="1.2"/>'
+        '<text x="{0:.1f}" y="{5:.1f}" text-anchor="middle" font-size="9" font-weight="650" fill="{4}">{6}</text>'
+    ).format(at_x, at_y, _BADGE_PX, INK, PAPER, at_y + 3.2, mark.label)
+
+
+def _outlined(axes: ChartAxes, regions: Sequence[Region], colour: str = PAPER, rim: str = INK) -> Markup:
+    outlines = " ".join(_outline(axes, region) for region in regions)
     return Markup(
         '<path d="{0}" fill="none" stroke="{1}" stroke-width="3.4"/>'
         '<path d="{0}" fill="none" stroke="{2}" stroke-width="1.6"/>'
-        '<circle cx="{3:.1f}" cy="{4:.1f}" r="{5}" fill="{1}" stroke="{2}" stroke-width="1.2"/>'
-        '<text x="{3:.1f}" y="{6:.1f}" text-anchor="middle" font-size="9" font-weight="650" fill="{2}">{7}</text>'
-    ).format(outlines, INK, PAPER, at_x, at_y, _BADGE_PX, at_y + 3.2, mark.label)
+    ).format(outlines, rim, colour)
+
+
+_PLACE_PX = 250.0
+
+
+def place_svg(
+    picture_url: str, bounds_um: tuple[float, float, float, float], regions: Sequence[Region], line: Region
+) -> Markup:
+    """Return the picture of a place over its bounds, with its regions, the line of its profile and a scale bar."""
+    x0, y0, x1, y1 = bounds_um
+    per_um = _PLACE_PX / max(x1 - x0, y1 - y0, 1e-9)
+    wide, high = per_um * (x1 - x0), per_um * (y1 - y0)
+    axes = ChartAxes(Axis((x0, x1), (0, wide)), Axis((y0, y1), (high, 0)))
+    areas = [region for region in regions if region != line]
+    parts = (
+        Markup('<image href="{}" width="{:.1f}" height="{:.1f}" preserveAspectRatio="none"/>').format(
+            picture_url, wide, high
+        ),
+        _outlined(axes, [line], PROFILE_COLOURS[0], PAPER),
+        _outlined(axes, areas) if areas else Markup(),
+        _scale_bar(high, per_um, x1 - x0, left=0.0),
+    )
+    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" width="100%" role="img" font-size="10">{}</svg>').format(
+        wide, high, Markup("").join(parts)
+    )
 
 
 def _outline(axes: ChartAxes, region: Region) -> str:
@@ -102,9 +132,9 @@ def _outline(axes: ChartAxes, region: Region) -> str:
     return f"M{path}" + ("" if region.kind == "line" else "Z")
 
 
-def _scale_bar(foot: float, per_um: float, wide_um: float) -> Markup:
+def _scale_bar(foot: float, per_um: float, wide_um: float, left: float = _LEFT_PX) -> Markup:
     length_um = round_length(_SCALE_SHARE * wide_um)
-    long_px, x, y = per_um * length_um, _LEFT_PX + 12, foot - 12
+    long_px, x, y = per_um * length_um, left + 12, foot - 12
     return Markup(
         '<rect x="{0:.1f}" y="{1:.1f}" width="{2:.1f}" height="24" rx="3" fill="{3}" fill-opacity=".9"/>'
         '<path d="M{4:.1f} {5:.1f}v4h{6:.1f}v-4" fill="none" stroke="{7}" stroke-width="1.6"/>'

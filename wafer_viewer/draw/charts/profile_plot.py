@@ -348,22 +348,21 @@ def _cursor(axes: ChartAxes, at_um: float) -> Markup:
     return Markup('<path class="wv-cursor" d="{}" stroke="var(--ink)" stroke-width="1.2"/>').format(axes.upright(at_um))
 
 
-_WIDTH, _HEIGHT = 680, 210
 _LEFT, _RIGHT, _TOP, _FOOT = 58, 16, 8, 36
 _MOST_POINTS = 1200
-_INK, _SOFT, _LINE = "#15202B", "#445463", "#DCE3EA"
+_INK, _SOFT, _LINE, _BAND = "#15202B", "#445463", "#DCE3EA", "#EEF1F4"
 
 
-def profile_svg(section: Section) -> Markup:
-    """Return the plot of one profile, distance and height in um, scaled to the available width."""
-    frame = frame_of([section])
+def profile_svg(section: Section, size_px: tuple[int, int] = (680, 210), bands: Sequence[Ends] = ()) -> Markup:
+    """Return the plot of one profile, distance and height in um, scaled to the available width; bands are shaded."""
+    frame, (width, height) = frame_of([section]), size_px
     axes = ChartAxes(
-        Axis(frame.x_um, (_LEFT, _WIDTH - _RIGHT), round_ticks(frame.x_um, 10)),
-        Axis(frame.z_um, (_HEIGHT - _FOOT, _TOP), round_ticks(frame.z_um, 6)),
+        Axis(frame.x_um, (_LEFT, width - _RIGHT), round_ticks(frame.x_um, width // 70)),
+        Axis(frame.z_um, (height - _FOOT, _TOP), round_ticks(frame.z_um, 6)),
     )
     middle_x, middle_y = sum(axes.x.span) / 2, sum(axes.y.span) / 2
     return Markup(
-        '<svg viewBox="0 0 {width} {height}" width="100%" role="img" font-size="11" fill="{soft}">'
+        '<svg viewBox="0 0 {width} {height}" width="100%" role="img" font-size="11" fill="{soft}">{bands}'
         '<path d="{grid}" fill="none" stroke="{line}"/>{labels_svg}'
         '<path d="{frame}" fill="none" stroke="{soft}" stroke-width=".8"/>'
         "{printed_curve}"
@@ -371,9 +370,10 @@ def profile_svg(section: Section) -> Markup:
         '<text x="{middle_x:.1f}" y="{y}">Distance along the line, µm</text>'
         '<text transform="translate(12 {middle_y:.1f}) rotate(-90)">z, µm</text></g></svg>'
     ).format(
-        width=_WIDTH,
-        height=_HEIGHT,
+        width=width,
+        height=height,
         soft=_SOFT,
+        bands=Markup("").join(_shaded(axes, *band) for band in bands),
         grid=axes.grid(),
         line=_LINE,
         labels_svg=axes.labels_svg(),
@@ -381,8 +381,16 @@ def profile_svg(section: Section) -> Markup:
         printed_curve=_printed_curve(section, frame, axes),
         ink=_INK,
         middle_x=middle_x,
-        y=_HEIGHT - 4,
+        y=height - 4,
         middle_y=middle_y,
+    )
+
+
+def _shaded(axes: ChartAxes, start_um: float, stop_um: float) -> Markup:
+    left, right = (axes.x.at(axes.x.within(end)) for end in (start_um, stop_um))
+    foot, top = axes.y.span
+    return Markup('<rect x="{:.1f}" y="{:g}" width="{:.1f}" height="{:g}" fill="{}"/>').format(
+        left, top, right - left, foot - top, _BAND
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote
 
 import viser
@@ -18,7 +18,7 @@ from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.report import PAGE, PART_TITLES, PARTS, PRINTED, Holds, Part, ReportOrder
+from wafer_viewer.model.report import LANGUAGES, PAGE, PART_TITLES, PARTS, PRINTED, Holds, Language, Part, ReportOrder
 from wafer_viewer.session.files.file_jobs import REPORT, free_path, newest_report
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -28,6 +28,8 @@ TITLE_HINT = "Heading of the report; without one the dataset's name"
 NUMBER_HINT = "Number on every page; without one the dataset's name and the day of the scan"
 CUSTOMER_HINT = "For whom the report is made; the laboratory's own head is laboratory.toml in the data folder"
 ENDINGS = ((PAGE, "HTML"), (PRINTED, "PDF"))
+LANGUAGE_HINT = "Language of the report; without a choice that of laboratory.toml in the data folder, or English"
+LANGUAGE_OPTIONS = (("", "Laboratory's"), *LANGUAGES.items())
 FILE_HINT = "HTML for screens and printers; a PDF is printed by the Chromium, Chrome or Edge of the viewer's machine"
 FAILED = "The report was not written"
 _NONE_SELECTED = Markup('<div class="wv-why">Not yet: no section is selected.</div>')
@@ -45,6 +47,7 @@ class ReportChoices:
     number: str = ""
     customer: str = ""
     ending: str = PAGE
+    language: Language | Literal[""] = ""
     left_out: frozenset[Part] = frozenset()
     written: tuple[Path, Path] | None = None
 
@@ -66,6 +69,13 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
         Text("Number", here.own.number, lambda number: here.keep(number=number), NUMBER_HINT),
         Text("Customer", here.own.customer, lambda customer: here.keep(customer=customer), CUSTOMER_HINT),
         Toggle("File", here.own.ending, lambda ending: here.keep(ending=ending), FILE_HINT, options=ENDINGS),
+        Toggle(
+            "Language",
+            here.own.language,
+            lambda language: here.keep(language=language),
+            LANGUAGE_HINT,
+            options=LANGUAGE_OPTIONS,
+        ),
         Html(html.head("Contents")),
         *(element for part in PARTS for element in _section(here, part, contents.get(part, UNKNOWN), part in chosen)),
         Buttons([Button("Save report as…", lambda: ask_where(here), floppy, disabled=not idle, failed=FAILED)], 34),
@@ -147,7 +157,13 @@ def _begin(here: Here[ReportChoices], path: Path | None) -> Future[Path]:
             here.keep(written=(data.path, done.result()))
 
     own = here.own
-    order = ReportOrder(title=own.title, number=own.number, customer=own.customer, parts=chosen_parts(here))
+    order = ReportOrder(
+        title=own.title,
+        number=own.number,
+        customer=own.customer,
+        language=own.language or None,
+        parts=chosen_parts(here),
+    )
     if path is None and data is not None:
         path = free_path(data.path, REPORT, own.ending)
     writing = here.ask.begin(WRITING, here.page.session.papers.write_report(order, path))

@@ -21,7 +21,7 @@ INTERPOLATION_SHARE = 0.005
 """Standard uncertainty of a step, in z steps, for interpolated peaks where the depth of field is unknown."""
 NOT_IN_BUDGET = (
     "Not in the budget: repeat scans, drift during the scan, z offsets between fields, linearity and Abbe offset of "
-    "the z axis, temperature other than 20 C."
+    "the z axis, temperature other than 20 °C."
 )
 NOISE, Z_SCALE, LINEARITY, LEVELLING = "noise and form of the faces", "z scale", "z linearity", "levelling"
 DRIFT, POSES, INTERPOLATION = "drift during the scan", "poses of the fields", "interpolation between frames"

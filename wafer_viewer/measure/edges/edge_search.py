@@ -426,7 +426,7 @@ def _along(bands: Responses, shifts: NDArray[np.intp]) -> Floats:
 
 NOT_IN_BUDGET = (
     "Not in the budget: where light and focus put an edge on the picture, {distortion}positions of fields against each "
-    "other, repeat scans, temperature other than 20 C."
+    "other, repeat scans, temperature other than 20 °C."
 )
 DISTORTION = "distortion and shear of the picture, "
 ON_PICTURE = "Measured on the picture that is in focus everywhere."

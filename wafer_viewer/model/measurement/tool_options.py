@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.measurement.result_rows import Label
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
 
@@ -76,8 +77,8 @@ class Conditions(Spec, frozen=True, kw_only=True):
     z_linearity_um: NonNegative | None = None
     abbe_um: NonNegative | None = None
     temperature_c: float | None = None
-    u_temperature_c: NonNegative = 0.5
-    expansion_per_k: NonNegative = STEEL_PER_K
+    u_temperature_c: Annotated[NonNegative, Label("Uncertainty of temperature")] = 0.5
+    expansion_per_k: Annotated[NonNegative, Label("Thermal expansion per K")] = STEEL_PER_K
 
 
 class OptionsSpec(Spec, frozen=True, kw_only=True):

@@ -21,7 +21,6 @@ from wafer_viewer.model.report import (
     Contents,
     Figure,
     Holds,
-    Laboratory,
     Letterhead,
     Part,
     Report,
@@ -29,15 +28,15 @@ from wafer_viewer.model.report import (
     ReportSection,
     Table,
 )
-from wafer_viewer.model.spec import decode
 from wafer_viewer.session.reporting.report_data import (
     Material,
     calibration_pairs,
-    day_words,
     gather,
     marks_of,
     method_words,
+    names_of,
     not_evaluated,
+    notes_of,
     outline_um,
     plan_pairs,
     positioner_pairs,
@@ -46,20 +45,18 @@ from wafer_viewer.session.reporting.report_data import (
     verdict_text,
 )
 from wafer_viewer.session.reporting.sections import (
+    MOST_SHEETS,
     audit,
     defects,
     defects_held,
     features,
     gauge,
-    logo_picture,
-    profiles,
     results,
     verdict,
 )
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
-LABORATORY = "laboratory.toml"
 SIGNED_BY = ("Measured by", "Checked by", "Approved by")
 SCOPE = "The results relate only to the sample and the places named in this report. It may be copied only as a whole."
 """What a report holds for (ISO/IEC 17025, 7.8.2.1)."""
@@ -94,7 +91,9 @@ def report_of(
         number=order.number.strip() or f"{material.dataset.path.stem}-{material.day.replace('-', '')}",
         scope=SCOPE,
         paper=order.paper,
-        letterhead=letterhead_of(material.dataset.path.parent),
+        letterhead=_letterhead(material),
+        language=order.language or material.laboratory.language,
+        names=frozenset(filter(None, (*names_of(material), order.title.strip(), order.customer.strip()))),
     )
 
 
@@ -104,7 +103,6 @@ def _goes_in(part: Part, material: Material) -> bool:
         "verdict": material.asks_for_a_verdict or material.verdict is not None,
         "features": bool(material.features),
         "defects": material.inspection is not None,
-        "profiles": bool(material.lines),
         "gauge": bool(material.gauge_checks),
         "pictures": bool(material.pictures),
         "audit": bool(material.actions or material.audit_fault),
@@ -113,13 +111,14 @@ def _goes_in(part: Part, material: Material) -> bool:
     return held.get(part, True)
 
 
-def letterhead_of(folder: Path) -> Letterhead | None:
-    """Return the head of the laboratory of a data folder; None without ``laboratory.toml``. Raises DatasetError."""
-    path = folder / LABORATORY
-    if not path.exists():
+def _letterhead(material: Material) -> Letterhead | None:
+    """Return the head of the laboratory; None if it is not given. Raises DatasetError."""
+    from wafer_viewer.session.reporting.report_pictures import logo_picture
+
+    lab = material.laboratory
+    if not lab.name:
         return None
-    lab = decode(path.read_bytes(), Laboratory, path.name)
-    logo = logo_picture(folder / Path(lab.logo).name) if lab.logo else ""
+    logo = logo_picture(material.dataset.path.parent / Path(lab.logo).name) if lab.logo else ""
     return Letterhead(lab.name, tuple(line for line in (lab.address, lab.accreditation) if line), logo)
 
 
@@ -158,7 +157,6 @@ def contents(folder: Path, result_name: str) -> Contents:
         "features": _held(len(material.features), "feature", "the job has no feature with limits"),
         "results": _results_held(material),
         "defects": defects_held(material),
-        "profiles": _held(len(material.lines), "profile", "no result lies along a line"),
         "gauge": _held(len(material.gauge_checks), "check", "no gauge-block check was kept"),
         "pictures": Holds(counted, nothing=not pictures),
         "surface": Holds(points, nothing=info is None),
@@ -209,7 +207,7 @@ def _count(n: int, word: str) -> str:
 
 def _below(material: Material, order: ReportOrder) -> str:
     name = f"{material.dataset.path.stem} · " if order.title.strip() else ""
-    return f"{name}taken {day_words(material.dataset.scan.taken)} · result {material.result.name}"
+    return f"{name}taken {material.time(material.dataset.scan.taken)} · result {material.result.name}"
 
 
 def _facts(material: Material, order: ReportOrder) -> tuple[tuple[str, str], ...]:
@@ -232,14 +230,14 @@ def _facts(material: Material, order: ReportOrder) -> tuple[tuple[str, str], ...
 
 
 def _pictures(material: Material) -> ReportSection:
-    from wafer_viewer.session.reporting.sections import taken_picture
+    from wafer_viewer.session.reporting.report_pictures import taken_picture
 
     figures = tuple(Figure(taken_picture(picture), picture.stem) for picture in material.pictures)
     return ReportSection(PART_TITLES["pictures"], figures=figures, empty="No pictures were taken at print size.")
 
 
 def _surface(material: Material) -> ReportSection:
-    from wafer_viewer.session.reporting.sections import whole_picture
+    from wafer_viewer.session.reporting.report_pictures import whole_picture
 
     info, title = material.info, PART_TITLES["surface"]
     if info is None:
@@ -291,7 +289,9 @@ def _warnings(material: Material) -> ReportSection:
     if info is not None:
         warnings += [*unmeasured_words(info)]
         warnings += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
-    warnings += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
+    warnings += [
+        f"Result {f.number}, {f.name}: {note}" for f in material.findings[MOST_SHEETS:] for note in notes_of(f)
+    ]
     sentences = tuple(
         dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in (*warnings, *_left_out(material)))
     )
@@ -341,7 +341,6 @@ _MADE: dict[Part, Callable[[Material], ReportSection]] = {
     "features": features,
     "results": results,
     "defects": defects,
-    "profiles": profiles,
     "gauge": gauge,
     "pictures": _pictures,
     "surface": _surface,

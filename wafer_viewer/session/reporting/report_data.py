@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, tzinfo
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from wafer_viewer.draw.charts.marked_map import Mark
-from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
-from wafer_viewer.draw.quantities import UNIT_SIGNS, explained_quantity, row_text
+from wafer_viewer.draw.number_format import THIN, digits_of_u, duration, number, share, size, value_and_u, with_unit
+from wafer_viewer.draw.quantities import UNIT_SIGNS, explained_quantity, row_text, with_unit_sign
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.positioners import ROLES, PositionerReading
@@ -20,12 +20,14 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job import FeatureVerdict, Job, Judgement, Notebook, WaferVerdict, key_of_result
-from wafer_viewer.model.measurement.feature import limits_text, on_die
+from wafer_viewer.model.measurement.feature import Feature, limits_text, on_die
 from wafer_viewer.model.measurement.result_rows import rows, spaced, title_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import Laboratory, zone_of
 from wafer_viewer.model.roles import AuditEntry
+from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES, Mosaic
 from wafer_viewer.session.planning.job_releases import release_of
@@ -61,7 +63,7 @@ MOST_LETTERS = 160
 def numbers_of(finding: AnyResult) -> Pairs:
     """Return label and text of all numbers of a result but the main one."""
     texts = ((row.label.title, row_text(row)) for row in rows(finding, frozenset({finding.main_field})))
-    return tuple((title, text) for title, text in texts if len(text) <= MOST_LETTERS)
+    return tuple((title, text) for title, text in texts if text and len(text) <= MOST_LETTERS)
 
 
 def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
@@ -73,8 +75,19 @@ def budget_of(finding: AnyResult) -> tuple[BudgetLine, ...]:
 
 
 def not_evaluated(finding: AnyResult) -> tuple[str, ...]:
-    """Return the known contributions missing from the uncertainty."""
-    return tuple(getattr(finding, "not_evaluated", ()))
+    """Return the known contributions missing from the uncertainty, by its own list or by its notes."""
+    listed: tuple[str, ...] = tuple(getattr(finding, "not_evaluated", ()))
+    noted = (note.removeprefix(MISSING).rstrip(".").split(", ") for note in finding.notes if note.startswith(MISSING))
+    return (*listed, *chain.from_iterable(noted))
+
+
+MISSING = "Not in the budget: "
+"""Beginning of the notes that name contributions missing from the uncertainty."""
+
+
+def notes_of(finding: AnyResult) -> tuple[str, ...]:
+    """Return the notes of a result but those on its uncertainty."""
+    return tuple(note.replace(" um", "\u202fµm") for note in finding.notes if not note.startswith(MISSING))
 
 
 def kind_of(finding: AnyResult) -> str:
@@ -85,11 +98,22 @@ def kind_of(finding: AnyResult) -> str:
 def feature_row(n: int, judged: FeatureVerdict, judgement: Judgement) -> tuple[str, ...]:
     """Return number and name of a feature of the job, its limits and value, the verdict and people's judgement."""
     feature = judged.feature
-    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNIT_SIGNS[feature.unit]}")
-    rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
     value = explained_quantity(judged.measured) if judged.measured is not None else "not measured"
     quantity = f", {title_of(TOOLS[feature.tool].result, feature.quantity)}" if feature.quantity else ""
-    return (f"F{n}", f"{judged.name}{quantity}", rule, value, judged.word.upper(), judgement_text(judgement))
+    return (
+        f"F{n}",
+        f"{judged.name}{quantity}",
+        limits_of(feature),
+        value,
+        judged.word.upper(),
+        judgement_text(judgement),
+    )
+
+
+def limits_of(feature: Feature) -> str:
+    """Return the limits of a feature, and the rule that it is judged by."""
+    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNIT_SIGNS[feature.unit]}")
+    return f"{limits}, {feature.decision_rule.replace('_', ' ')}"
 
 
 def verdict_text(verdict: WaferVerdict) -> str:
@@ -121,46 +145,90 @@ def where(finding: AnyResult) -> str:
         return ""
     box = bounds_of(places)
     prefix = f"field {finding.show}, " if finding.show > 0 else ""
-    return f"{prefix}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
+    x, y = ((box[k] + box[k + 2]) / 2 for k in (0, 1))
+    return f"{prefix}x{THIN}{number(x, 1)}, y{THIN}{with_unit(y, 1)}"
+
+
+def value_pair(value: float, expanded: float, unit: str = "") -> str:
+    """Return a value with its U (k = 2), U to two significant digits and the value to match."""
+    return with_unit_sign("{} ± {}".format(*value_and_u(value, expanded)), unit).rstrip(THIN) + " (k = 2)"
 
 
 def surface_pairs(info: SurfaceInfo) -> Pairs:
     """Return the numbers of the surface."""
     rows = [
-        ("Points", f"{number(info.cols, 0)} × {number(info.rows, 0)}, {number(info.pixel_um, 4)}\u202fµm apart"),
+        ("Size", f"{number(info.cols, 0)} × {number(info.rows, 0)} points, {number(info.pixel_um, 4)}\u202fµm apart"),
         ("Fields", f"{info.n_fields}"),
         ("Highest", with_unit(info.highest_um, 2, signed=True)),
         ("Lowest", with_unit(info.lowest_um, 2, signed=True)),
         ("Measured", share(info.measured_fraction)),
         ("Filled", share(info.filled_fraction)),
-        *((f"Not measured: {words}", share(part)) for words, part in info.unmeasured if part > 0),
     ]
     if info.overlap_rms_um is not None:
         rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
     if (placed := info.stitching) is not None:
         rows += [
             ("Overlaps accepted", f"{placed.n_believed} of {placed.n_overlaps}"),
-            ("Places, U (k = 2)", with_unit(placed.position_u_um, 3)),
-            ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, 3)),
+            ("Places, U (k = 2)", with_unit(placed.position_u_um, digits_of_u(placed.position_u_um))),
+            ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, digits_of_u(placed.height_u_um))),
         ]
+    rows += [("Not measured", words) for words in _reasons(info)]
     return tuple(rows)
+
+
+def _reasons(info: SurfaceInfo) -> Iterator[str]:
+    missing = 1.0 - info.measured_fraction
+    reasons = ", ".join(f"{share(part)} {words}" for words, part in info.unmeasured if part > 0)
+    if missing > 0:
+        yield f"{share(missing)}: {reasons}" if reasons else share(missing)
 
 
 def unmeasured_words(info: SurfaceInfo) -> Iterator[str]:
     """Yield how much of the surface is not measured, with the reasons; nothing if all is."""
-    missing = 1.0 - info.measured_fraction
-    if missing > 0:
-        reasons = ", ".join(f"{share(part)} {words}" for words, part in info.unmeasured if part > 0)
-        yield f"{share(missing)} of the surface is not measured{f': {reasons}' if reasons else ''}."
+    for reasons in _reasons(info):
+        amount, _, why = reasons.partition(": ")
+        yield f"{amount} of the surface is not measured{f': {why}' if why else ''}."
 
 
-def day_words(iso: str) -> str:
-    """Return a date with its time as people write it, ``1 March 2026, 10:00``; any other text as it is."""
+def time_words(iso: str, zone: tzinfo) -> str:
+    """Return a time to the minute in a time zone, ``2026-03-01 10:00 UTC``; without an offset, or no time, as it is."""
     try:
         at = datetime.fromisoformat(iso)
     except ValueError:
         return iso
-    return f"{at.day} {at:%B %Y, %H:%M}"
+    if at.tzinfo is None:
+        return f"{at:%Y-%m-%d %H:%M}" if len(iso) > len("2026-03-01") else iso
+    offset = f"{at.astimezone(zone):%z}"
+    return f"{at.astimezone(zone):%Y-%m-%d %H:%M} " + ("UTC" if zone is UTC else f"{offset[:3]}:{offset[3:]}")
+
+
+LABORATORY = "laboratory.toml"
+NO_LABORATORY = Laboratory(name="")
+
+
+def laboratory_of(folder: Path) -> Laboratory:
+    """Return the laboratory of a data folder; one without a name if none is given. Raises DatasetError."""
+    path = folder / LABORATORY
+    return decode(path.read_bytes(), Laboratory, path.name) if path.exists() else NO_LABORATORY
+
+
+def names_of(material: Material) -> Iterator[str]:
+    """Yield the names and texts that people gave, and what is quoted as recorded: no language changes them."""
+    scan, sample = material.dataset.scan, material.dataset.scan.job.sample
+    yield from (sample.name, sample.lot, sample.wafer_id, sample.product, sample.operator, scan.job.product)
+    yield from (scan.rig, scan.imported_from, scan.setup.objective, scan.setup.camera, material.result.name)
+    yield material.dataset.path.stem
+    yield from (reading.name for reading in scan.positioners)
+    yield from (measure.title for measure in focus_measures().values())
+    if (verdict := material.verdict) is not None:
+        yield verdict.job
+        yield from (name for item in verdict.items for name in (item.name, item.feature.name))
+    if (calibration := scan.calibration) is not None:
+        yield from (calibration.against, *calibration.z_against, calibration.setup.objective, calibration.setup.camera)
+    yield from (finding.name for finding in material.findings)
+    yield from (judgement.note for judgement in material.notebook.judgements)
+    yield from (text for check in material.gauge_checks for text in (check.certificate.laboratory, check.signed_by))
+    yield from (text for entry in material.actions for text in (entry.by, entry.action, entry.detail, entry.subject))
 
 
 def method_words(material: Material) -> str:
@@ -215,15 +283,15 @@ def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
 
 def positioner_pairs(readings: Iterable[PositionerReading]) -> Pairs:
     """Return the positions of light, objective, zoom, tilts and rotation at the start of a scan."""
-    return tuple((f"{ROLES[one.role].title} ({one.name})", one.words) for one in readings)
+    return tuple((f"{ROLES[one.role].title} ({one.name})", one.words.replace(" deg", "°")) for one in readings)
 
 
 def calibration_pairs(calibration: Calibration) -> Pairs:
     """Return pixel size and z scale with uncertainty, setup, reference standard and validity dates."""
     setup = calibration.setup
     return (
-        ("Pixel", f"{calibration.pixel_um:.6g} ± {2 * calibration.u_pixel_um:.2g}\u202fµm (k = 2)"),
-        ("z scale", f"{calibration.z_scale:.7g} ± {2 * calibration.u_z_scale:.2g} (k = 2)"),
+        ("Pixel", value_pair(calibration.pixel_um, 2 * calibration.u_pixel_um, "µm")),
+        ("z scale", value_pair(calibration.z_scale, 2 * calibration.u_z_scale)),
         ("Objective", setup.objective or "–"),
         ("Camera", setup.camera or "–"),
         ("Against", calibration.against),
@@ -261,6 +329,11 @@ class Material:
     inspection: Inspection | None = None
     actions: tuple[AuditEntry, ...] = ()
     audit_fault: str = ""
+    laboratory: Laboratory = NO_LABORATORY
+
+    def time(self, iso: str) -> str:
+        """Return a time as the laboratory writes it."""
+        return time_words(iso, zone_of(self.laboratory.zone))
 
     @property
     def day(self) -> str:
@@ -286,12 +359,6 @@ class Material:
     def gauge_checks(self) -> tuple[GaugeCheck, ...]:
         """Gauge-block checks among the results."""
         return tuple(finding for finding in self.findings if isinstance(finding, GaugeCheck))
-
-    @property
-    def lines(self) -> tuple[tuple[AnyResult, Region], ...]:
-        """Results measured along a line of the surface or of a field, each with its line."""
-        pairs = ((f, next((r for r in regions(f) if r.kind == "line"), None)) for f in self.findings if f.show >= 0)
-        return tuple((finding, line) for finding, line in pairs if line is not None)
 
     @property
     def pictures(self) -> list[Path]:
@@ -320,6 +387,7 @@ def gather(folder: Path, result_name: str) -> Material:
         stored_verdict(dataset, result),
         read_inspection(result.path),
         *_audited(dataset),
+        laboratory_of(dataset.path.parent),
     )
 
 

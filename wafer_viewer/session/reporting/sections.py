@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import base64
-import io
 import math
 from collections.abc import Iterator
-from functools import partial
-from pathlib import Path
-
-import numpy as np
-from PIL import Image
 
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
 from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
-from wafer_viewer.draw.charts.limits_bar import limits_bar_svg
-from wafer_viewer.draw.number_format import digits_of_u, number, share
+from wafer_viewer.draw.charts.limits_bar import limits_bar_svg, share_bar_svg
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, share
 from wafer_viewer.draw.quantities import display_unit, explained_quantity
-from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
-from wafer_viewer.draw.surface.texture_baking import bake, light_gain
-from wafer_viewer.model.errors import DatasetError, MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import REFERENCES, Defect, Inspection, headline, verdict_of
@@ -27,34 +18,33 @@ from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.feature import DecisionRule
 from wafer_viewer.model.measurement.result_rows import title_of
-from wafer_viewer.model.measurement.sections import SectionRequest
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine, Quantity
-from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, ReportSection, Sheet, Table
 from wafer_viewer.model.roles import AuditEntry
-from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.reporting.report_data import (
     Material,
-    bounds_of,
     budget_of,
     feature_row,
     judgement_text,
     kind_of,
+    limits_of,
     not_evaluated,
+    notes_of,
     numbers_of,
     regions,
     regions_of_feature,
     result_row,
     where,
 )
-from wafer_viewer.store.io.guarded_reading import require_pixels
+from wafer_viewer.session.reporting.report_pictures import place_picture, views_of
 
-MOST_SHEETS, MOST_PROFILES = 60, 24
-"""Maximum numbers of result sheets and profiles; further results are in the table only, to limit the report's size."""
-RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value ± U, 95 %", "x, y of the stage, µm", "Judgement")
+MOST_SHEETS = 60
+"""Maximum number of result sheets; further results are in the table only, to limit the report's size."""
+RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value ± U, 95 %", "Place on the stage", "Judgement")
 FEATURE_HEADS = ("No.", "Feature", "Limits", "Value ± U, 95 %", "Word", "Judgement")
-AUDIT_HEADS = ("Time, UTC", "Who", "Through", "Action", "Details")
+BETWEEN = "Value and U between the limits"
+AUDIT_HEADS = ("Time", "Who", "Through", "Action", "Details")
 GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
 
 
@@ -72,7 +62,9 @@ def verdict(material: Material) -> ReportSection:
         title,
         word=judged.word,
         beside=" · ".join(part for part in (judged.job, judged.next) if part),
-        table=Table(FEATURE_HEADS, rows, "n  n", tuple(map(_between_limits, judged.items))),
+        table=Table(
+            FEATURE_HEADS, rows, "n  n", tuple(map(_between_limits, judged.items)), "Value and U between the limits"
+        ),
         figures=_die_map(material, judged),
         sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in sentences),
     )
@@ -125,9 +117,10 @@ def _of_feature(material: Material, n: int, item: FeatureVerdict) -> Sheet:
     return Sheet(
         number=f"F{n}",
         title=item.name,
-        below=", ".join(part for part in labels if part),
+        below=" · ".join(part for part in (*labels, limits_of(feature)) if part),
+        word=item.word.upper(),
         value=explained_quantity(measured) if measured is not None else "not measured",
-        picture=_picture_of(material, regions_of_feature(material.dataset.scan.job, item)),
+        **views_of(material, regions_of_feature(material.dataset.scan.job, item)),
         budget=budget_table(measured.budget, measured) if measured else None,
         missing=item.not_evaluated,
     )
@@ -162,10 +155,11 @@ def _sheet(material: Material, finding: AnyResult) -> Sheet:
         title=finding.name,
         below=" · ".join(part for part in below if part),
         value=explained_quantity(finding.main),
-        picture=_place(material, finding),
-        pairs=numbers_of(finding),
+        **views_of(material, regions(finding), finding),
+        pairs=tuple((name, material.time(text)) for name, text in numbers_of(finding)),
         budget=budget_table(budget_of(finding), finding.main),
         missing=not_evaluated(finding),
+        notes=notes_of(finding),
     )
 
 
@@ -179,22 +173,24 @@ def budget_table(lines: tuple[BudgetLine, ...], quantity: Quantity) -> Table | N
     if not variance:
         return None
     ordered = sorted(lines, key=lambda line: -line.u)
+    combined = variance**0.5 * read.factor
+    shares = [line.u**2 / variance for line in ordered]
     rows = [
         (
             line.name,
             f"{line.evaluation}, {line.distribution}",
             _freedom(line.freedom),
-            _two_figures(line.u * read.factor),
-            share(line.u**2 / variance),
+            _part_of_u(line.u * read.factor, combined),
+            share(part),
         )
-        for line in ordered
+        for line, part in zip(ordered, shares, strict=True)
     ]
-    combined = variance**0.5 * read.factor
     totals = [
-        ("combined, k = 1", "", _freedom(quantity.freedom), _two_figures(combined), ""),
-        (f"expanded, {quantity.k_text}", "", "", _two_figures(quantity.k * combined), ""),
+        ("combined, k = 1", "", _freedom(quantity.freedom), _part_of_u(combined, combined), ""),
+        (f"expanded, {quantity.k_text}", "", "", _part_of_u(quantity.k * combined, combined), ""),
     ]
-    return Table(("Contribution", "Type", "Freedom", f"u, {read.unit}", "of u²"), (*rows, *totals), "  nnn")
+    heads = ("Contribution", "Type", "Freedom", f"u, {read.unit}", "of u²")
+    return Table(heads, (*rows, *totals), "  nnn", (*map(share_bar_svg, shares), "", ""))
 
 
 def _freedom(freedom: float | None) -> str:
@@ -202,65 +198,20 @@ def _freedom(freedom: float | None) -> str:
     return "∞" if freedom is None else number(math.floor(freedom), 0)
 
 
-def _two_figures(u: float) -> str:
-    return number(u, min(digits_of_u(u), 6)) if u else "0"
-
-
-def _place(material: Material, finding: AnyResult) -> str:
-    """Return a picture of the region of a result, if it was measured on the stitched surface."""
-    return _picture_of(material, regions(finding)) if finding.show == 0 else ""
-
-
-def _picture_of(material: Material, places: tuple[Region, ...]) -> str:
-    """Return a picture of the surroundings of regions of the stitched surface; empty without them."""
-    info = material.info
-    if not places or info is None:
-        return ""
-    return place_picture(material.result.mosaic(), bounds_of(places), info.low_um, info.high_um)
-
-
-def profiles(material: Material) -> ReportSection:
-    """Return the section with the curve of every result along a line."""
-    figures = (_curve(material, finding, line) for finding, line in material.lines[:MOST_PROFILES])
-    drawn = tuple(figure for figure in figures if figure is not None)
-    return ReportSection(PART_TITLES["profiles"], figures=drawn, empty="No result lies along a line.")
-
-
-def _curve(material: Material, finding: AnyResult, line: Region) -> Figure | None:
-    """Return the section of a result as a figure, cut again at the same line; None if the surface is missing."""
-    from wafer_viewer.draw.charts.profile_plot import profile_svg
-    from wafer_viewer.measure.base.levelled_surface import levelled
-    from wafer_viewer.measure.tools.profile import profile
-    from wafer_viewer.model.measurement.sections import Section as Cut
-
-    surface = _surface(material, finding.show)
-    if surface is None:
-        return None
-    try:
-        measurement, curve = profile(levelled(surface, finding.levelling), line, layer=finding.surface)
-    except MeasureError:
-        return None
-    cut = Cut(
-        SectionRequest(place=0, line=line, show=finding.show, levelling=finding.levelling), measurement, curve, ""
-    )
-    width = f", mean over {number(line.width_um, 1)}\u202fµm" if line.width_um else ""
-    caption = f"{finding.number} · {finding.name}: {explained_quantity(finding.main)}; {kind_of(finding)}{width}"
-    return Figure("", caption, svg=profile_svg(cut))
-
-
-def _surface(material: Material, show: int) -> Mosaic | None:
-    if show == 0:
-        return material.result.mosaic() if material.result.has_mosaic else None
-    field = material.dataset.field(show)
-    done = material.result.surfaces_done([field])
-    return material.result.surface(field) if done else None
+def _part_of_u(u: float, combined: float) -> str:
+    """Return a standard uncertainty to two significant digits; one far below the combined one as under a limit."""
+    if not u:
+        return "0"
+    digits = digits_of_u(combined) + 2
+    least = 10.0**-digits
+    return number(u, min(digits_of_u(u), digits)) if u >= least else f"<{THIN}{number(least, digits)}"
 
 
 def gauge(material: Material) -> ReportSection:
     """Return the section of the gauge-block checks among the results."""
     checks = material.gauge_checks
     table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
-    sentences = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
+    sentences = tuple(_of_check(material, check).replace(" um", "\u202fµm") for check in checks)
     return ReportSection(PART_TITLES["gauge"], table=table, sentences=sentences, empty="No gauge-block check was kept.")
 
 
@@ -272,11 +223,11 @@ def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
     return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 2), limit, word)
 
 
-def _of_check(check: GaugeCheck) -> str:
+def _of_check(material: Material, check: GaugeCheck) -> str:
     """Return the details of a check: reason of the verdict, certificate and signer."""
     paper = check.certificate
     blocks = f"Certificate {paper.number} of {paper.laboratory}, blocks {', '.join(paper.serials)}, to {paper.expires}"
-    signed = f"; signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""
+    signed = f"; signed by {check.signed_by}, {material.time(check.at)}" if check.signed_by else ""
     return f"{check.number}: {check.why} {blocks}{signed}."
 
 
@@ -285,18 +236,18 @@ def audit(material: Material) -> ReportSection:
     title = PART_TITLES["audit"]
     if material.audit_fault:
         return ReportSection(title, sentences=(material.audit_fault,))
-    rows = tuple(_audit_row(entry, material.dataset.path.name) for entry in material.actions)
+    rows = tuple(_audit_row(material, entry) for entry in material.actions)
     return ReportSection(
         title, table=Table(AUDIT_HEADS, rows, "w w"), empty="The audit log has no entry on this dataset."
     )
 
 
-def _audit_row(entry: AuditEntry, dataset: str) -> tuple[str, ...]:
+def _audit_row(material: Material, entry: AuditEntry) -> tuple[str, ...]:
     """Return the cells of an entry; what it was done to is named unless that is the dataset."""
-    at = entry.at.removesuffix("+00:00").replace("T", " ")
-    action = entry.action if entry.subject == dataset else f"{entry.action}, {entry.subject}"
+    named = "" if entry.subject == material.dataset.path.name else f", {entry.subject}"
+    action = f"{entry.action}{named}"
     details = (entry.detail, f"SHA-256 {entry.sha256}" if entry.sha256 else "")
-    return (at, entry.by, entry.through, action, " · ".join(part for part in details if part))
+    return (material.time(entry.at), entry.by, entry.through, action, " · ".join(part for part in details if part))
 
 
 MOST_PLACES = 10
@@ -433,70 +384,3 @@ def _sentences(inspection: Inspection) -> Iterator[str]:
         yield f"Not or only partly scanned, so not clean: {'; '.join(not_clean)}."
     yield from repeated(inspection)
     yield from inspection.notes
-
-
-WHOLE_PX, PLACE_PX, PICTURE_PX, LOGO_PX = 1400, 320, 1600, 400
-ROUND_A_PLACE, LEAST_UM = 0.7, 20.0
-"""Margin around a region as a fraction of its size, and minimum width of a picture in um."""
-UNMEASURED = (222, 226, 231)
-JPEG_QUALITY = 85
-
-
-def whole_picture(mosaic: Mosaic, low_um: float, high_um: float) -> str:
-    """Return the surface from above, as a data URL."""
-    level = _level(mosaic, max(mosaic.shape), WHOLE_PX)
-    return _picture(mosaic.window(level=level), low_um, high_um, WHOLE_PX)
-
-
-def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], low_um: float, high_um: float) -> str:
-    """Return the square surroundings of a region; empty if the region is outside of the surface."""
-    x, y = (box_um[0] + box_um[2]) / 2, (box_um[1] + box_um[3]) / 2
-    half = max(LEAST_UM, (1 + 2 * ROUND_A_PLACE) * max(box_um[2] - box_um[0], box_um[3] - box_um[1])) / 2
-    level = _level(surface, round(2 * half / surface.pixel_um), PLACE_PX)
-    try:
-        part = surface.window(Region.rectangle(x - half, y - half, x + half, y + half), level)
-    except MeasureError:
-        return ""
-    return _picture(part, low_um, high_um, PLACE_PX)
-
-
-def logo_picture(path: Path) -> str:
-    """Return the logo of a laboratory on white, as a data URL."""
-    with parser_errors_as(partial(_no_picture, path)), Image.open(path) as picture:
-        require_pixels(path.name, picture.height, picture.width)
-        logo = picture.convert("RGBA")
-        return _url(Image.alpha_composite(Image.new("RGBA", logo.size, "white"), logo).convert("RGB"), LOGO_PX)
-
-
-def taken_picture(path: Path) -> str:
-    """Return a stored picture of print size, reduced for reports, as a data URL."""
-    with parser_errors_as(partial(_no_picture, path)), Image.open(path) as picture:
-        require_pixels(path.name, picture.height, picture.width)
-        return _url(picture.convert("RGB"), PICTURE_PX)
-
-
-def _no_picture(path: Path, fault: Exception) -> DatasetError:
-    return DatasetError(f"{path} is no picture{detail(fault)}: remove it.")
-
-
-def _level(surface: Mosaic, wide_px: int, target_px: int) -> int:
-    """Return the coarsest level that still has the requested number of pixels."""
-    return min(surface.levels - 1, max(0, int(np.log2(max(wide_px, 1) / target_px))))
-
-
-def _picture(part: HeightMap, low_um: float, high_um: float, most_px: int) -> str:
-    if 0 in part.shape:
-        return ""
-    light = Light(light_gain(part.z_um, part.pixel_um), max(high_um - low_um, 1e-6))
-    baked = Image.fromarray(bake(part, DisplayStyle(low=low_um, high=high_um), light))
-    paper = Image.new("RGB", baked.size, UNMEASURED)
-    paper.paste(baked, (0, 0), baked)
-    return _url(paper, most_px)
-
-
-def _url(picture: Image.Image, most_px: int) -> str:
-    if max(picture.size) > most_px:
-        picture.thumbnail((most_px, most_px), Image.Resampling.LANCZOS)
-    out = io.BytesIO()
-    picture.save(out, "JPEG", quality=JPEG_QUALITY)
-    return f"data:image/jpeg;base64,{base64.b64encode(out.getvalue()).decode()}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from wafer_viewer.model.report import PAGE, PRINTED, Report
 from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.io.checksums import load_json, save_json
 from wafer_viewer.store.records.printed_report import print_pdf
+from wafer_viewer.store.records.report_language import phrase, translated
 from wafer_viewer.store.records.signed_log import is_signed, public_key
 
 if TYPE_CHECKING:
@@ -40,7 +41,9 @@ def report_html(report: Report) -> str:
 
     Every page names the content by the first digits of the SHA-256 of the text without them.
     """
-    text = _template().render(report=report, content=_CONTENT)
+    say = partial(phrase, report.language)
+    words = {say(word): word for word in ("PASS", "FAIL", "INCONCLUSIVE", "NO VERDICT")}
+    text = _template().render(report=translated(report), content=_CONTENT, say=say, words=words)
     digits = hashlib.sha256(text.encode()).hexdigest()
     return text.replace(_CONTENT, " ".join(digits[k : k + 4] for k in range(0, len(_CONTENT) - 3, 5)))
 
