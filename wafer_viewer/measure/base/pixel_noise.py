@@ -51,6 +51,7 @@ def noise_lines(
     covariance_um2: Floats,
     extremes: Collection[str],
     repeats: int = REPEATS,
+    spread: float = 0.0,
 ) -> dict[str, Scatter]:
     """Return the uncertainty due to noise of each length that a surface is evaluated to.
 
@@ -66,6 +67,9 @@ def noise_lines(
         Names of the lengths that are extreme heights or ranges; the others are means.
     repeats : int, optional
         Number of realisations of the noise.
+    spread : float, optional
+        Standard deviations of a value that are added to the bias of extremes, of which it is one realisation; noise may
+        then make them smaller as well.
 
     Returns
     -------
@@ -79,11 +83,12 @@ def noise_lines(
     for name, value in found.items():
         each = np.array([one[name] for one in again])
         if name in extremes:
-            bias = EXTREMES_GROW * (float(each.mean()) - value)
+            added = float(each.mean()) - value
+            bias = EXTREMES_GROW * (abs(added) + spread * float(each.std(ddof=1)) if spread else added)
         else:
             bias = value - math.sqrt(max(0.0, 2 * value**2 - float(np.mean(each**2))))
         scatter = Scatter(float(each.std(ddof=1)), repeats - 1)
-        lines[name] = Scatter.joined(BIAS_SHARE * min(max(0.0, bias), value), scatter)
+        lines[name] = Scatter.joined(BIAS_SHARE * (bias if spread else min(max(0.0, bias), value)), scatter)
     return lines
 
 
@@ -138,6 +143,35 @@ def window_covariance(noise_um: float, window_px: float) -> Floats:
 
 
 # ---------------------------------------------------------------------------------------------------------- pixel noise
+
+
+def own_noise_um(reading: MeasurementContext, x_um: Floats, y_um: Floats, level: int) -> float | None:
+    """Return the root mean square noise at places, from the uncertainty that their heights have of their focus curves.
+
+    Without what their frames cause, which is alike all over them; None where heights have no uncertainty of their own.
+    """
+    pixel_um = reading.surface.pixel_um * 2**level
+    ends = (float(x_um.min()), float(y_um.min()), float(x_um.max()), float(y_um.max()))
+    margins = (-pixel_um, -pixel_um, pixel_um, pixel_um)
+    if reading.layer != "unsmoothed":
+        return None
+    try:
+        part = reading.surface.window(Region.rectangle(*map(sum, zip(ends, margins, strict=True))), level)
+    except MeasureError:
+        return None
+    if part.u_um is None:
+        return None
+    rows = np.rint((part.y0_um - y_um) / pixel_um).astype(np.intp).clip(0, part.u_um.shape[0] - 1)
+    cols = np.rint((x_um - part.x0_um) / pixel_um).astype(np.intp).clip(0, part.u_um.shape[1] - 1)
+    u_um = part.u_um[rows, cols].astype(np.float64)
+    if np.mean(np.isfinite(u_um)) < LEAST_KNOWN:
+        return None
+    of_frames_um = math.hypot(*reading.frame_lines(math.sqrt(0.5)).values())
+    return math.sqrt(float(np.nanmean(np.maximum(u_um**2 - of_frames_um**2, 0.0))))
+
+
+LEAST_KNOWN = 0.5
+"""Least share of heights with an uncertainty of their own."""
 
 
 PIXEL_FREEDOM = 4.0

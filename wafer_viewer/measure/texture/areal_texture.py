@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import WINDOW, Z_SCALE, Lines, MeasurementContext
-from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, MOST_SIDE, NOISE, noise_lines, window_covariance
-from wafer_viewer.measure.base.plane_faces import area_of, lattice_of
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.pixel_noise import (
+    MOST_SIDE,
+    own_noise_um,
+)
+from wafer_viewer.measure.base.plane_faces import MIN_POINTS, Area, area_of, lattice_of
+from wafer_viewer.measure.texture.features import five_heights, peak_numbers
+from wafer_viewer.measure.texture.material_ratio import bearing, height_at, material_ratio_curve, volumes
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.texture.spatial_texture import spatial
+from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, with_scale
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Texture
-from wafer_viewer.model.measurement.tool_options import SlopeScheme, TextureOptions
+from wafer_viewer.model.measurement.tool_options import Borders, SlopeScheme, TextureOptions
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean
 from wafer_viewer.numerics.filters.interpolation import polynomial
-from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
 
 
 def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:
@@ -93,92 +97,6 @@ def _triangle_areas(one: Floats, other: Floats, pixel_um: float) -> Floats:
     return np.sqrt(1 + ((other - one) ** 2 + (one + other) ** 2) / pixel_um**2)
 
 
-CORE = 0.4
-"""Width of the secant of smallest slope, as a fraction of the material ratio."""
-
-
-@dataclass(frozen=True, slots=True)
-class Bearing:
-    """Core, reduced peak and reduced valley heights in um; material ratios Smr1 and Smr2 as fractions."""
-
-    sk_um: float
-    spk_um: float
-    svk_um: float
-    smr1: float
-    smr2: float
-
-
-def material_ratio_curve(z_um: Floats) -> Floats:
-    """Return heights [n] of equal area from the highest to the lowest: the height over each material ratio."""
-    return np.sort(z_um)[::-1]
-
-
-def bearing(curve: Floats) -> Bearing:
-    """Return the Sk parameters of a material ratio curve.
-
-    The core line is the least-squares line through the 40 % of the curve with the flattest secant (the first of equal
-    ones); Spk and Svk are the heights of triangles with the area of the curve beyond the core.
-    """
-    slope, top = _line(curve)
-    foot = top + slope
-    above, below = curve[curve > top], curve[curve < foot]
-    n = len(curve)
-    return Bearing(
-        sk_um=top - foot,
-        spk_um=_triangle(float(np.sum(above - top)), len(above)),
-        svk_um=_triangle(float(np.sum(foot - below)), len(below)),
-        smr1=len(above) / n,
-        smr2=1 - len(below) / n,
-    )
-
-
-def _line(curve: Floats) -> tuple[float, float]:
-    """Return slope per unit material ratio, and height at ratio 0, of the line through the flattest 40 %."""
-    width = max(1, round(CORE * len(curve)))
-    first = int(np.argmin(curve[:-width] - curve[width:]))
-    part = curve[first : first + width + 1]
-    ratio = (first + 0.5 + np.arange(len(part))) / len(curve)
-    from_middle = ratio - ratio.mean()
-    slope = float(from_middle @ part / (from_middle @ from_middle))
-    return slope, float(part.mean() - slope * ratio.mean())
-
-
-def _triangle(total_um: float, points: int) -> float:
-    """Return the height of a triangle with the given base, in points, and area."""
-    return 2 * total_um / points if points else 0.0
-
-
-PEAKS_END, VALLEYS_BEGIN = 0.1, 0.8
-"""Material ratios between which is the core, for volumes (ISO 25178-3, default values)."""
-EXTREME_FROM, EXTREME_TO = 0.025, 0.5
-"""Material ratios of the peak extreme height Sxp (the same)."""
-
-
-def volumes(curve: Floats) -> dict[str, float]:
-    """Return material and void volumes per area, and Sxp, in um, of a material ratio curve."""
-    ratios = (PEAKS_END, VALLEYS_BEGIN, EXTREME_FROM, EXTREME_TO)
-    at_peaks, at_valleys, extreme, middle = (_height_at(curve, ratio) for ratio in ratios)
-    levels, mean_um, n = (at_peaks, at_valleys), float(curve.mean()), len(curve)
-    above = (curve[: n - int(np.searchsorted(curve[::-1], level))] for level in levels)
-    material = [float(np.sum(part - level)) / n for part, level in zip(above, levels, strict=True)]
-    void = [volume + level - mean_um for volume, level in zip(material, levels, strict=True)]
-    return {
-        "vmp": material[0],
-        "vmc": material[1] - material[0],
-        "vvc": void[0] - void[1],
-        "vvv": void[1],
-        "sxp": float(extreme - middle),
-    }
-
-
-def _height_at(curve: Floats, ratio: float) -> float:
-    """Return the height over a material ratio, between the two points beside it."""
-    place = min(max(ratio * len(curve) - 0.5, 0.0), len(curve) - 1.0)
-    before = int(place)
-    after = min(before + 1, len(curve) - 1)
-    return float(curve[before] + (place - before) * (curve[after] - curve[before]))
-
-
 FORMS = {0: "Form removed: the mean alone.", 1: "Form removed: plane of least squares."}
 """Notes on the removed form by the order of its polynomial."""
 UNFILTERED = "Neither S-filter nor L-filter: noise and waviness are in the numbers."
@@ -186,6 +104,8 @@ BORDERS = (
     "Filter at borders and holes: weights scaled to sum one (ISO 16610-28, moment criterion of order 0); nothing from "
     "outside of the region."
 )
+
+CUT = "Filter: half its length along the border is not evaluated."
 
 
 def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Floats:
@@ -200,7 +120,24 @@ def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Flo
         left = _without_form(gaussian_mean(left, options.s_filter_um / pixel_um), options.form_order)
     if options.l_filter_um is not None:
         left = left - gaussian_mean(left, options.l_filter_um / pixel_um)
+    if options.borders == "cut":
+        left[~_beyond_border(np.isfinite(left), _longest_um(options) / 2 / pixel_um)] = np.nan
+        if np.count_nonzero(np.isfinite(left)) < MIN_POINTS:
+            raise MeasureError("Without its borders too little of the face is left: draw it larger, or keep them.")
     return left - np.nanmean(left)
+
+
+def _longest_um(options: TextureOptions) -> float:
+    return max(options.s_filter_um or 0.0, options.l_filter_um or 0.0)
+
+
+def _beyond_border(valid: NDArray[np.bool_], reach_px: float) -> NDArray[np.bool_]:
+    """Return a mask of the pixels of a face that lie further from its outline than a distance; holes are no outline."""
+    from scipy.ndimage import binary_fill_holes, distance_transform_edt
+
+    filled = np.pad(np.asarray(binary_fill_holes(valid)), 1)
+    distance_px: Floats = np.asarray(distance_transform_edt(filled))[1:-1, 1:-1]
+    return distance_px > reach_px
 
 
 def filter_names(options: TextureOptions) -> str:
@@ -213,7 +150,8 @@ def filter_names(options: TextureOptions) -> str:
 def form_notes(options: TextureOptions) -> tuple[str, ...]:
     """Return notes on the removed form and on the filter borders."""
     form = FORMS.get(options.form_order, f"Form removed: polynomial of least squares of order {options.form_order}.")
-    return form, UNFILTERED if filter_names(options) == "none" else BORDERS
+    filtered = CUT if options.borders == "cut" else BORDERS
+    return form, UNFILTERED if filter_names(options) == "none" else filtered
 
 
 def _require_room(shape: tuple[int, ...], pixel_um: float, options: TextureOptions) -> None:
@@ -251,6 +189,9 @@ def texture(
     l_filter_um: float | None = None,
     noise_um: float | None = None,
     slopes: SlopeScheme = "neighbours",
+    borders: Borders = "keep",
+    c_um: float | None = None,
+    mr: float | None = None,
     calibration_valid: bool = True,
     layer: Layer | None = None,
     name: str = "",
@@ -273,10 +214,17 @@ def texture(
         Nesting index in um of the Gaussian filter that removes longer waves. Default None: no filter.
     noise_um : float, optional
         Root mean square noise of the heights in um, as repeats of a flat give it (`calibrate noise`). Default None:
-        unknown, and the uncertainty is not evaluated.
+        that of the heights' own uncertainty; where they have none, U is not evaluated.
     slopes : {'neighbours', 'seven_point'}, optional
         Slopes of Sdq and Sdr. Default 'neighbours': differences of neighbouring pixels, and four triangles for each
         four. 'seven_point': through seven pixels, which reads short waves truer, and noise higher.
+    borders : {'keep', 'cut'}, optional
+        Default 'keep': what the longer filter evaluates over less than its length at the border counts. 'cut': half of
+        its length along the border does not.
+    c_um : float, optional
+        Height over the mean in um for which the areal material ratio Smr(c) is given. Default None: not given.
+    mr : float, optional
+        Areal material ratio, 0 to 1, for which the height Smc is given. Default None: not given.
     calibration_valid : bool, optional
         Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
         calibration, results have status 'uncalibrated' and no uncertainty.
@@ -290,8 +238,9 @@ def texture(
     Texture
         Height (Sa, Sq, Sp, Sv, Sz in um; Ssk, Sku), hybrid (Sdq, Sdr as a fraction), functional (Sk, Spk, Svk in um;
         Smr1, Smr2 as fractions), volume (Vmp, Vmc, Vvc, Vvv in um, that is um3/um2, at material ratios of 10 and 80 %;
-        Sxp in um) and spatial parameters (Sal in um, Str, Std in degrees). Parameters that are not
-        defined for this surface are None. With a noise, the lengths but Sal have expanded uncertainties (k = 2).
+        Sxp in um), spatial (Sal in um, Str, Std in degrees) and feature parameters (S5p, S5v, S10z in um, Spd in
+        1/mm2, Spc in 1/mm). Parameters that are not defined for this surface are None. With a noise, the lengths but
+        Sal have expanded uncertainties (k = 2).
 
     Raises
     ------
@@ -311,6 +260,9 @@ def texture(
     is S, then form, then L; the Gaussian filters are those of ISO 16610-61 [3]_. At borders and holes their weights are
     scaled to sum one (ISO 16610-28 [4]_, moment criterion of order 0).
 
+    Hills and dales are those of the watersheds after Wolf pruning of 5 % of Sz; peaks at the border of the face and
+    beside unmeasured pixels do not count.
+
     A flat surface has no Ssk, Sku and spatial parameters, and one without a lay no Std. The notes of the result name
     waves too short to be resolved and an Sq that may be mostly noise.
 
@@ -328,13 +280,21 @@ def texture(
        topography measuring instruments.
     """
     options = TextureOptions(
-        form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um, noise_um=noise_um, slopes=slopes
+        form_order=form_order,
+        s_filter_um=s_filter_um,
+        l_filter_um=l_filter_um,
+        noise_um=noise_um,
+        slopes=slopes,
+        borders=borders,
+        c_um=c_um,
+        mr=mr,
     )
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "texture")
     lattice_um = lattice_of(area)
     z_um = scale_limited(lattice_um, area.pixel_um, options)
-    lines = _lines(reading, lattice_um, area.pixel_um, options) if reading.calibrated else {}
+    noise = _noise(reading, area, options)
+    lines = _lines(reading, lattice_um, area.pixel_um, options, noise) if noise is not None else {}
     left = z_um[np.isfinite(z_um)]
     sq_um = float(np.sqrt(np.mean(left**2)))
     flat = sq_um <= ROUNDING * float(np.abs(area.points.z_um).max())
@@ -345,12 +305,13 @@ def texture(
         *names,
         *unseen_waves(surface.provenance, area.pixel_um, s_filter_um, "The S-filter"),
         *near_noise(surface.provenance, sq_um, "Sq"),
-        *_noise_notes(reading, options),
+        *noise_notes(reading, options.noise_um, noise),
     )
     curve = material_ratio_curve(left)
+    heights = {**length_parameters(left, curve, options), **({} if flat else five_heights(z_um))}
     lengths = {
-        name: reading.length(value_um, _with_scale(reading, value_um, lines.get(name)))
-        for name, value_um in length_parameters(left, curve).items()
+        field: reading.length(value_um, with_scale(reading, value_um, lines[field]) if field in lines else None)
+        for field, value_um in heights.items()
     }
     return Texture(
         **{**reading.result_fields(name, area.level, *notes), "filter": filter_names(options)},
@@ -361,13 +322,15 @@ def texture(
         **hybrid_parameters(z_um, area.pixel_um, slopes),
         smr1_fraction=(found := bearing(curve)).smr1,
         smr2_fraction=found.smr2,
+        smr_fraction=None if c_um is None else float(np.mean(left >= c_um)),
         **waves,
+        **_peak_fields(z_um, area.pixel_um, flat),
         points=len(left),
         measured_fraction=area.measured_fraction,
     )
 
 
-def length_parameters(left: Floats, curve: Floats) -> dict[str, float]:
+def length_parameters(left: Floats, curve: Floats, options: TextureOptions) -> dict[str, float]:
     """Return the height and functional parameters in um, by the names of their fields.
 
     left: heights [n] with mean 0; curve: their material ratio curve.
@@ -383,7 +346,12 @@ def length_parameters(left: Floats, curve: Floats) -> dict[str, float]:
         "spk": core.spk_um,
         "svk": core.svk_um,
         **volumes(curve),
+        **({} if options.mr is None else {"smc": height_at(curve, options.mr)}),
     }
+
+
+def _peak_fields(z_um: Floats, pixel_um: float, flat: bool) -> dict[str, Any]:
+    return {} if flat else {**peak_numbers(z_um, pixel_um)}
 
 
 def _moments(left: Floats, sq_um: float, flat: bool) -> dict[str, float | None]:
@@ -394,85 +362,47 @@ def _moments(left: Floats, sq_um: float, flat: bool) -> dict[str, float | None]:
     }
 
 
-NOISE_GIVEN = "Noise of {:.3g} um: values are not corrected for it, U covers it."
-NOISE_UNKNOWN = (
-    "U needs the noise of the heights, as `calibrate noise` measures it from repeats: give it with noise_um."
-)
-EXTREMES = ("sp", "sv", "sz", "sk", "spk", "svk")
+EXTREMES = ("sp", "sv", "sz", "sk", "spk", "svk", "s5p", "s5v", "s10z")
 """Parameters that grow in proportion to the noise."""
-LONGEST_NOISE = 4.0
-"""Length over which noise may be alike, in focus windows: U is the larger of that by one and by so many.
-
-An S-filter removes the shorter noise and passes the longer one.
-"""
+FEATURES_SIDE = 200
+"""Largest side, in pixels, on which the noise of peaks and pits is evaluated."""
 FILTERS_ROOM = 4.0
 """Smallest side, in lengths of the longest filter, of the part on which noise is evaluated."""
 
 
-def _noise_notes(reading: MeasurementContext, options: TextureOptions) -> tuple[str, ...]:
-    if not reading.calibrated:
-        return ()
-    if options.noise_um is None:
-        return (NOISE_UNKNOWN,)
-    return NOISE_GIVEN.format(options.noise_um), *reading.not_in_budget()
+def _noise(reading: MeasurementContext, area: Area, options: TextureOptions) -> float | None:
+    """Return the noise of the heights in um: the given one, or by their own uncertainty; None if there is no U."""
+    if not reading.calibrated or options.noise_um is not None:
+        return options.noise_um if reading.calibrated else None
+    return own_noise_um(reading, area.points.x_um, area.points.y_um, area.level)
 
 
-def _lines(reading: MeasurementContext, z_um: Floats, pixel_um: float, options: TextureOptions) -> dict[str, Lines]:
-    """Return the budget lines of each length parameter that its size does not give; empty where noise is unknown."""
-    if options.noise_um is None:
-        return {}
-    longest_um = max(options.s_filter_um or 0.0, options.l_filter_um or 0.0)
-    part = _middle(z_um, max(MOST_SIDE, round(FILTERS_ROOM * longest_um / pixel_um)))
+def _lines(
+    reading: MeasurementContext, z_um: Floats, pixel_um: float, options: TextureOptions, noise_um: float
+) -> dict[str, Lines]:
+    """Return the budget lines of each length parameter that its size does not give."""
+    room_px = round(FILTERS_ROOM * _longest_um(options) / pixel_um)
+    part, small = (_middle(z_um, max(side, room_px)) for side in (MOST_SIDE, FEATURES_SIDE))
+    whole = replace(options, borders="keep")
 
     def evaluate(heights_um: Floats) -> dict[str, float]:
-        left = scale_limited(heights_um, pixel_um, options)
+        left = scale_limited(heights_um, pixel_um, whole)
         known = left[np.isfinite(left)]
-        return length_parameters(known, material_ratio_curve(known))
+        return length_parameters(known, material_ratio_curve(known), options)
 
-    window_px = _window_px(reading, pixel_um)
-    models = (window_covariance(options.noise_um, times * window_px) for times in (1.0, LONGEST_NOISE))
-    noises = [noise_lines(evaluate, part, covariance, EXTREMES) for covariance in models]
-    found, coarser = evaluate(part), evaluate(_averaged(part, window_px))
-    frames = reading.frame_lines(1 / math.sqrt(2))
+    def features(heights_um: Floats) -> dict[str, float]:
+        return five_heights(scale_limited(heights_um, pixel_um, whole), least=1)
+
     return {
-        name: {
-            NOISE: Scatter.largest(noise[name] for noise in noises),
-            WINDOW: BIAS_SHARE * _lost_um(found[name], coarser[name]),
-            **frames,
-        }
-        for name in found
+        **length_lines(reading, evaluate, part, pixel_um, noise_um, EXTREMES),
+        **length_lines(reading, features, small, pixel_um, noise_um, EXTREMES),
     }
-
-
-def _with_scale(reading: MeasurementContext, value_um: float, lines: Lines | None) -> Lines | None:
-    return None if lines is None else {Z_SCALE: reading.u_z_scale * value_um, **lines}
 
 
 def _middle(z_um: Floats, side_px: int) -> Floats:
     """Return the middle of a lattice, at most so many pixels wide."""
     rows, cols = (slice(max(0, (n - side_px) // 2), (n + side_px) // 2) for n in z_um.shape)
     return z_um[rows, cols]
-
-
-def _window_px(reading: MeasurementContext, pixel_um: float) -> float:
-    """Return the focus window in pixels of a level; one pixel where the surface does not tell it."""
-    provenance = reading.surface.provenance
-    window = provenance.recipe.window
-    return 1.0 if isinstance(window, str) else max(1.0, window * reading.surface.pixel_um / pixel_um)
-
-
-def _averaged(z_um: Floats, window_px: float) -> Floats:
-    """Return heights averaged over the focus window twice, as wide as caps show that a focus measure averages."""
-    valid, size = np.isfinite(z_um), 2 * round((window_px - 1) / 2) + 1
-    averaged = np.where(valid, z_um - np.nanmean(z_um), 0.0)
-    for _ in range(2):
-        averaged = mean_of_valid(averaged, valid, size)
-    return np.where(valid, averaged, np.nan)
-
-
-def _lost_um(value_um: float, coarser_um: float) -> float:
-    """Return what averaging took of a length, by the share that it takes when it is done once more."""
-    return value_um * max(0.0, value_um / coarser_um - 1) if coarser_um > 0 else value_um
 
 
 def _spatial(

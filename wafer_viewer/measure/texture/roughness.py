@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT, bearing, material_ratio_curve
+from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.pixel_noise import NOISE, own_noise_um
+from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT
+from wafer_viewer.measure.texture.material_ratio import bearing, material_ratio_curve
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
+from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, with_scale
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, Roughness
-from wafer_viewer.model.measurement.tool_options import RoughnessOptions
+from wafer_viewer.model.measurement.tool_options import Borders, RoughnessOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.filters.gaussian import gaussian_mean
@@ -43,6 +47,9 @@ BORDERS = (
 )
 
 
+CUT = "Filter: half its length at each end is not evaluated."
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluated:
     """The evaluation length: heights [n], NaN where unmeasured, its sections, and notes."""
@@ -63,6 +70,8 @@ def roughness(
     *,
     lambda_c_um: float | None = None,
     lambda_s_um: float | None = None,
+    noise_um: float | None = None,
+    borders: Borders = "keep",
     calibration_valid: bool = True,
     layer: Layer | None = None,
     name: str = "",
@@ -81,6 +90,12 @@ def roughness(
         Cut-off in um of the Gaussian filter that removes longer waves. Default None: no filter.
     lambda_s_um : float, optional
         Cut-off in um of the Gaussian filter that removes shorter waves. Default None: no filter.
+    noise_um : float, optional
+        Root mean square noise of the heights in um, as repeats of a flat give it (`calibrate noise`). Default None:
+        that of the heights' own uncertainty; where they have none, U is not evaluated.
+    borders : {'keep', 'cut'}, optional
+        Default 'keep': what the longer filter evaluates over less than its length at the ends counts. 'cut': half of
+        its length at each end does not.
     calibration_valid : bool, optional
         Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
         calibration, results have status 'uncalibrated' and no uncertainty.
@@ -92,9 +107,9 @@ def roughness(
     Returns
     -------
     Roughness
-        Ra, Rq, Rz, Rt, Rp and Rv in um, Rsk and Rku without unit (None for a flat line), Rdq, the slope; Rk, Rpk
-        and Rvk in um, Rmr1 and Rmr2 as fractions, and the sampling lengths.
-        Without uncertainty: the contribution of noise is not evaluated.
+        Ra, Rq, Rz, Rt, Rp and Rv in um, Rsk and Rku without unit (None for a flat line), Rdq, the slope; RSm and Rc
+        in um (None without a complete profile element); Rk, Rpk and Rvk in um, Rmr1 and Rmr2 as fractions, and the
+        sampling lengths. With a noise, all lengths have expanded uncertainties (k = 2).
 
     Raises
     ------
@@ -117,6 +132,10 @@ def roughness(
     its sections. Without lambda-c the primary profile, waviness included, is evaluated as one section; the standard
     writes Pa, Pq, Pz, Pt for Ra, Rq, Rz, Rt.
 
+    A profile element is a hill and the dale beside it, from one crossing of the mean line to the next but one, in
+    either direction. Hills and dales that are lower than 10 % of Rz or narrower than 1 % of a sampling length belong to
+    their neighbours; incomplete ones at the ends do not count.
+
     The notes of the result name waves too short to be resolved and an Rq that may be mostly noise.
 
     References
@@ -125,26 +144,33 @@ def roughness(
     .. [2] ISO 16610-21, Filtration - Part 21: Linear profile filters: Gaussian filters.
     .. [3] ISO 16610-28, Filtration - Part 28: Profile filters: End effects.
     """
-    options = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um)
+    options = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um, noise_um=noise_um, borders=borders)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     pixel_um = _pixel_um(curve)
     evaluated = _evaluated(curve, pixel_um, options)
     left = evaluated.z_um[np.isfinite(evaluated.z_um)]
     rq_um = float(np.sqrt(np.mean(left**2)))
+    noise = _noise_um(reading, curve, line, options)
+    lines = _lines(reading, curve, pixel_um, options, noise) if noise is not None else {}
     flat = rq_um <= ROUNDING * float(np.nanmax(np.abs(curve.z_um)))
     notes = (
         LINE_REMOVED,
         *evaluated.notes,
         *unseen_waves(surface.provenance, pixel_um, lambda_s_um, "lambda-s"),
         *near_noise(surface.provenance, rq_um, "Rq"),
+        *noise_notes(reading, noise_um, noise),
         *section.notes,
     )
     return Roughness(
         **{**reading.result_fields(name, 0, *notes), "filter": _filter_names(options, line)},
         line=line,
         options=options,
-        **_heights(reading, evaluated, pixel_um, left, rq_um, flat),
+        **{
+            field: reading.length(value_um, lines.get(field))
+            for field, value_um in length_parameters(evaluated, pixel_um).items()
+        },
+        **_ratios(evaluated, pixel_um, left, rq_um, flat),
         sections=evaluated.sections,
         section_um=evaluated.section_um,
         points=len(left),
@@ -160,14 +186,21 @@ def _evaluated(curve: ProfileCurve, pixel_um: float, options: RoughnessOptions) 
     if options.lambda_s_um is not None:
         z_um = gaussian_mean(z_um, options.lambda_s_um / pixel_um)
     cutoff_um = options.lambda_c_um
+    if cutoff_um is not None:
+        z_um = z_um - gaussian_mean(z_um, cutoff_um / pixel_um)
+    if options.borders == "cut":
+        cut = math.ceil(max(cutoff_um or 0.0, options.lambda_s_um or 0.0) / 2 / pixel_um)
+        z_um = z_um[cut : len(z_um) - cut]
+        length_um = (len(z_um) - 1) * pixel_um
+        _require_room(length_um, options)
     if cutoff_um is None:
         found = Evaluated(z_um - np.nanmean(z_um), 1, length_um, (PRIMARY,))
     else:
-        found = _in_sections(z_um - gaussian_mean(z_um, cutoff_um / pixel_um), pixel_um, cutoff_um)
+        found = _in_sections(z_um, pixel_um, cutoff_um, options.borders == "cut")
     return _require_measured(found)
 
 
-def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
+def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float, is_cut: bool) -> Evaluated:
     """Return the central part of a filtered line, five cut-offs long or as many complete ones as fit."""
     length_um = (len(z_um) - 1) * pixel_um
     sections = min(SECTIONS, math.floor(length_um / cutoff_um + 1e-9))
@@ -179,31 +212,118 @@ def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
             f"{sections} of {SECTIONS} sampling lengths: the line is {length_um:.4g} um long and five are "
             f"{SECTIONS * cutoff_um:g} um."
         )
-    if spare * pixel_um < 2 * RUN_UP * cutoff_um - pixel_um:
+    if is_cut:
+        notes.append(CUT)
+    elif spare * pixel_um < 2 * RUN_UP * cutoff_um - pixel_um:
         notes.append(BORDERS)
     return Evaluated(part - np.nanmean(part), sections, cutoff_um, tuple(notes))
 
 
-def _heights(
-    reading: MeasurementContext, evaluated: Evaluated, pixel_um: float, left: Floats, rq_um: float, flat: bool
-) -> dict[str, Any]:
-    parts, core = list(evaluated.split()), bearing(material_ratio_curve(left))
-    heights = {"rk": core.sk_um, "rpk": core.spk_um, "rvk": core.svk_um}
+def length_parameters(evaluated: Evaluated, pixel_um: float) -> dict[str, float]:
+    """Return the parameters of an evaluated profile that are lengths, in um, by the names of their fields."""
+    parts, left = list(evaluated.split()), evaluated.z_um[np.isfinite(evaluated.z_um)]
+    core = bearing(material_ratio_curve(left))
     highest, lowest = (float(np.mean([extreme(part) for part in parts])) for extreme in (np.max, np.min))
     return {
-        "ra": reading.length(float(np.mean(np.abs(left))), None),
-        "rq": reading.length(rq_um, None),
-        "rz": reading.length(highest - lowest, None),
-        "rt": reading.length(float(np.ptp(left)), None),
-        "rp": reading.length(highest, None),
-        "rv": reading.length(-lowest, None),
+        "ra": float(np.mean(np.abs(left))),
+        "rq": float(np.sqrt(np.mean(left**2))),
+        "rz": highest - lowest,
+        "rt": float(np.ptp(left)),
+        "rp": highest,
+        "rv": -lowest,
+        "rk": core.sk_um,
+        "rpk": core.spk_um,
+        "rvk": core.svk_um,
+        **element_parameters(evaluated.z_um, pixel_um, highest - lowest, evaluated.section_um),
+    }
+
+
+def _ratios(evaluated: Evaluated, pixel_um: float, left: Floats, rq_um: float, flat: bool) -> dict[str, Any]:
+    core = bearing(material_ratio_curve(left))
+    return {
         "rsk": None if flat else float(np.mean(left**3)) / rq_um**3,
         "rku": None if flat else float(np.mean(left**4)) / rq_um**4,
         "rdq": root_mean_square_slope(evaluated.z_um, pixel_um),
-        **{name: reading.length(value_um, None) for name, value_um in heights.items()},
         "rmr1_fraction": core.smr1,
         "rmr2_fraction": core.smr2,
     }
+
+
+LEAST_HEIGHT, LEAST_WIDTH = 0.1, 0.01
+"""Least height of a hill or dale as a fraction of Rz, and least width as a fraction of the sampling length."""
+
+
+def element_parameters(z_um: Floats, pixel_um: float, rz_um: float, section_um: float) -> dict[str, float]:
+    """Return RSm and Rc in um of the complete profile elements of heights [n] about their mean line; empty without."""
+    place = np.flatnonzero(np.isfinite(z_um))
+    z = z_um[place]
+    starts = _crossings(z, LEAST_HEIGHT * rz_um, LEAST_WIDTH * section_um / pixel_um, place)
+    if len(starts) < 3:
+        return {}
+    before, after = z[starts - 1], z[starts]
+    share = before / (before - after)
+    at_um = pixel_um * (place[starts - 1] + share * (place[starts] - place[starts - 1]))
+    extremes = np.array([_extreme(part) for part in np.split(z, starts)[1:-1]])
+    return {
+        "rsm": float(np.mean(at_um[2:] - at_um[:-2])),
+        "rc": float(np.mean(np.abs(extremes[1:] - extremes[:-1]))),
+    }
+
+
+def _extreme(part: Floats) -> float:
+    return float(part[np.argmax(np.abs(part))])
+
+
+def _crossings(z: Floats, least_um: float, least_px: float, place: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return where hills and dales begin [n], the first point of each but the first one.
+
+    Those that are too low or too narrow belong to the neighbours before them.
+    """
+    changes = np.flatnonzero(np.diff(np.sign(z)) != 0) + 1
+    ends = np.concatenate([[0], changes, [len(z)]])
+    kept, sign = list[int](), 0.0
+    for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        wide = place[last - 1] - place[first] + 1 >= least_px
+        if not wide or np.abs(z[first:last]).max() < least_um or np.sign(z[first]) in (0.0, sign):
+            continue
+        if sign:
+            kept.append(first)
+        sign = float(np.sign(z[first]))
+    return np.array(kept, np.intp)
+
+
+def _noise_um(
+    reading: MeasurementContext, curve: ProfileCurve, line: Region, options: RoughnessOptions
+) -> float | None:
+    """Return the noise of the heights in um: the given one, or by their own uncertainty; None if there is no U."""
+    if not reading.calibrated:
+        return None
+    if options.noise_um is not None:
+        return options.noise_um
+    return own_noise_um(reading, curve.x_um, curve.y_um, 0)
+
+
+def _lines(
+    reading: MeasurementContext, curve: ProfileCurve, pixel_um: float, options: RoughnessOptions, noise_um: float
+) -> dict[str, Lines]:
+    """Return the budget lines of each length parameter, of all lines as if its width did not average the noise."""
+
+    def evaluate(z_um: Floats) -> dict[str, float]:
+        found = length_parameters(_evaluated(replace(curve, z_um=z_um[0]), pixel_um, options), pixel_um)
+        return {"rsm": 0.0, "rc": 0.0, **found}
+
+    lines = length_lines(reading, evaluate, curve.z_um[None], pixel_um, noise_um, EXTREMES, SPREAD)
+    found = evaluate(curve.z_um[None])
+    return {
+        **{name: with_scale(reading, found[name], each) for name, each in lines.items()},
+        "rsm": {NOISE: lines["rsm"][NOISE], **reading.lateral_lines(found["rsm"])},
+    }
+
+
+EXTREMES = ("rz", "rt", "rp", "rv", "rk", "rpk", "rvk", "rsm", "rc")
+"""Parameters that change in proportion to the noise."""
+SPREAD = 1.0
+"""Standard deviations of a parameter of a single line, added to its bias: tests/measure/texture."""
 
 
 def root_mean_square_slope(z_um: Floats, pixel_um: float) -> float | None:

@@ -355,9 +355,10 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     """ISO 25178-2 parameters of a region, after removal of form and filtered wavelengths.
 
     Height: sa, sq, sp, sv, sz, ssk, sku. Hybrid: sdq (a slope), sdr_fraction. Functional: sk, spk, svk, smr1_fraction,
-    smr2_fraction. Volume, um3/um2: vmp, vmc, vvc, vvv at material ratios of 10 and 80 %; sxp. Spatial: sal, str_ratio,
-    std (across the lay, anticlockwise from +x). None: not defined for this surface; ssk, sku and sal for a flat one,
-    std for one without a lay.
+    smr2_fraction; smr_fraction and smc where the options ask for them. Volume, um3/um2: vmp, vmc, vvc, vvv at material
+    ratios of 10 and 80 %; sxp. Spatial: sal, str_ratio, std (across the lay, anticlockwise from +x). Features, of hills
+    and dales after Wolf pruning of 5 % of Sz: s5p, s5v, s10z, spd_per_mm2, spc_per_mm. None: not defined for this
+    surface; ssk, sku and sal for a flat one, std for one without a lay, s5p for one with fewer than five peaks.
     """
 
     main_fields: ClassVar[tuple[str, ...]] = ("sa",)
@@ -379,6 +380,8 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     svk: Annotated[Length | None, Label("Svk", "Reduced depth of the valleys under the core", "Functional")] = None
     smr1_fraction: Annotated[Fraction | None, Label("Smr1", "Material ratio where peaks end", "Functional")] = None
     smr2_fraction: Annotated[Fraction | None, Label("Smr2", "Material ratio where valleys begin", "Functional")] = None
+    smr_fraction: Annotated[Fraction | None, Label("Smr(c)", "Material ratio at the height c", "Functional")] = None
+    smc: Annotated[Length | None, Label("Smc", "Height at a material ratio", "Functional", signed=True)] = None
     vmp: Annotated[Length | None, Label("Vmp", "Material volume of the peaks, up to 10 %, per area", "Volume")] = None
     vmc: Annotated[Length | None, Label("Vmc", "Material volume of the core, 10 to 80 %, per area", "Volume")] = None
     vvc: Annotated[Length | None, Label("Vvc", "Void volume of the core, 10 to 80 %, per area", "Volume")] = None
@@ -395,6 +398,11 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     std: Annotated[
         Quantity | None, Label("Std", "Texture direction, across the lay, counter-clockwise from x", "Spatial")
     ] = None
+    s5p: Annotated[Length | None, Label("S5p", "Mean height of the five highest peaks", "Features")] = None
+    s5v: Annotated[Length | None, Label("S5v", "Mean depth of the five deepest pits", "Features")] = None
+    s10z: Annotated[Length | None, Label("S10z", "Five highest peaks over five deepest pits", "Features")] = None
+    spd_per_mm2: Annotated[NonNegative | None, Label("Spd, 1/mm²", "Peaks per area", "Features", digits=0)] = None
+    spc_per_mm: Annotated[float | None, Label("Spc, 1/mm", "Mean curvature of the peaks", "Features", digits=1)] = None
     points: int
     measured_fraction: Annotated[Fraction, MEASURED]
 
@@ -402,7 +410,7 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
 class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     """ISO 21920-2 parameters along a line.
 
-    ra, rq, rt, rsk, rku, rdq (a slope), rk, rpk, rvk, rmr1_fraction, rmr2_fraction: over the whole evaluation length;
+    ra, rq, rt, rsk, rku, rdq (a slope), rsm, rc, rk, rpk, rvk, rmr1_fraction, rmr2_fraction: over the whole length;
     rp, rv, rz: means over its sections of section_um each. Without a cut-off the profile is the primary profile with
     one section, and the standard names are Pa, Pq, Pt ...
     """
@@ -420,6 +428,8 @@ class Roughness(MeasurementResult, frozen=True, kw_only=True, tag="roughness"):
     rsk: Annotated[float | None, Label("Rsk", _SKEWNESS, "Evaluation", signed=True)]
     rku: Annotated[float | None, Label("Rku", _KURTOSIS, "Evaluation")]
     rdq: Annotated[NonNegative | None, Label("Rdq", f"Root mean square slope {_WHOLE}", "Evaluation")] = None
+    rsm: Annotated[Length | None, Label("RSm", f"Mean width of the profile elements {_WHOLE}", "Evaluation")] = None
+    rc: Annotated[Length | None, Label("Rc", f"Mean height of the profile elements {_WHOLE}", "Evaluation")] = None
     rk: Annotated[Length | None, Label("Rk", "Height of the core", "Functional")] = None
     rpk: Annotated[Length | None, Label("Rpk", "Reduced height of the peaks over the core", "Functional")] = None
     rvk: Annotated[Length | None, Label("Rvk", "Reduced depth of the valleys under the core", "Functional")] = None

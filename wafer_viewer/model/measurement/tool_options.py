@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.result_rows import Label
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Within
 
 # ------------------------------------------------------------------------------------------------------------ levelling
 
@@ -120,6 +120,8 @@ class VolumeOptions(OptionsSpec, frozen=True, kw_only=True):
 
 
 SlopeScheme = Literal["neighbours", "seven_point"]
+Borders = Literal["keep", "cut"]
+"""Evaluation of the border of a filtered region or line, half the longest filter wide."""
 
 
 class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
@@ -128,7 +130,9 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     form_order: order of the least-squares polynomial removed as form; 0 is the mean, 1 a plane.
     s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that remove shorter and longer
     wavelengths; None: no filter. noise_um: root mean square noise of the heights, as `calibrate noise` measures it, for
-    the uncertainty; None: unknown. slopes: how Sdq and Sdr take slopes, of neighbouring or of seven pixels.
+    the uncertainty; None: that of the heights' own uncertainty. slopes: how Sdq and Sdr take slopes, of neighbouring or
+    of seven pixels. borders: what a filter evaluates over less than its length. c_um: height over the mean of Smr(c),
+    mr: material ratio of Smc; None: not given.
     """
 
     form_order: Annotated[int, Within(0, 8)] = 1
@@ -136,6 +140,9 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     l_filter_um: Positive | None = None
     noise_um: NonNegative | None = None
     slopes: SlopeScheme = "neighbours"
+    borders: Annotated[Borders, Label("Filter at borders")] = "keep"
+    c_um: Annotated[float | None, Label("c of Smr(c)")] = None
+    mr: Annotated[Fraction | None, Label("Material ratio of Smc")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -147,11 +154,13 @@ class RoughnessOptions(OptionsSpec, frozen=True, kw_only=True):
     """Options of the profile roughness.
 
     lambda_c_um, lambda_s_um: cut-offs of the Gaussian filters of ISO 16610-21 that remove longer and shorter
-    wavelengths; None: no filter.
+    wavelengths; None: no filter. noise_um, borders: as those of the areal texture.
     """
 
     lambda_c_um: Positive | None = None
     lambda_s_um: Positive | None = None
+    noise_um: NonNegative | None = None
+    borders: Annotated[Borders, Label("Filter at borders")] = "keep"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -71,6 +71,19 @@ _CONDITIONS = (
     ),
 )
 _BRIGHTNESS = {"Either": "either", "Bright": "bright", "Dark": "dark"}
+_NOISE = NumberControl(
+    "Noise, µm",
+    "noise_um",
+    "Measurement noise of the heights, from repeats, for U; empty: by the heights' own uncertainty",
+    help="Root mean square noise of the heights, as `calibrate noise` measures it; by their own uncertainty without.",
+)
+_BORDERS = ChoiceControl(
+    "Borders",
+    "borders",
+    {"Keep": "keep", "Cut": "cut"},
+    "Half the longest filter along the border, which evaluates less there",
+    "Half of the longest filter along the border: evaluated over what there is, or left out.",
+)
 _FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
 
 _BUILT_IN = (
@@ -472,11 +485,20 @@ _BUILT_IN = (
                 "For Sdq and Sdr; seven points read short waves truer, and noise higher",
                 "Slopes of Sdq and Sdr: of neighbouring pixels, or of seven, which reads short waves truer.",
             ),
+            _NOISE,
+            _BORDERS,
             NumberControl(
-                "Noise, µm",
-                "noise_um",
-                "Measurement noise of the heights, from repeats, for U; empty: unknown",
-                help="Root mean square noise of the heights, as `calibrate noise` measures it; U is evaluated with it.",
+                "c of Smr(c), µm",
+                "c_um",
+                "Height over the mean; empty: no Smr(c)",
+                over=None,
+                help="Height over the mean for which the material ratio Smr(c) is given.",
+            ),
+            NumberControl(
+                "Ratio of Smc",
+                "mr",
+                "Material ratio, 0 to 1; empty: no Smc",
+                help="Material ratio, 0 to 1, for which the height Smc is given.",
             ),
         ),
     ),
@@ -510,6 +532,8 @@ _BUILT_IN = (
                 "Removes shorter wavelengths; empty: no filter",
                 help="Cut-off of the Gaussian filter that removes shorter wavelengths; none by default.",
             ),
+            _NOISE,
+            _BORDERS,
         ),
     ),
     MeasuringTool(

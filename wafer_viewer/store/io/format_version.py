@@ -7,9 +7,10 @@ from `OLDEST` on is read:
   and tags of frames, no provisional passes, and 0 for a size of the sample that is not given.
 - 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has. Heights do not say
   whether an import made up the positions of their fields.
-- 3: textures have no volumes and no choice of slopes, roughness neither slopes nor a core. Lines of a budget have no
-  type, distribution and degrees of freedom: Student's t is in their standard uncertainty. Dies are not measured (tilts,
-  offset, bow, brightness), and have neither limits nor rules for that.
+- 3: textures have no volumes, no Smr(c) and Smc, no peaks and no choice of slopes and borders, roughness neither slopes
+  nor a core, elements, noise and borders. Lines of a budget have no type, distribution and degrees of freedom:
+  Student's t is in their standard uncertainty. Dies are not measured (tilts, offset, bow, brightness), and have neither
+  limits nor rules for that.
 """
 
 from __future__ import annotations

@@ -25,7 +25,8 @@ _DECIMAL = re.compile(r"(?<![\w.-])(\d[\d\u202f]*)\.(\d+)(?![\w]|\.\d)")
 _TEXT = re.compile(r"(<text[^>]*>)([^<]+)(</text>)")
 _LETTERS = re.compile(r"[A-Za-z]{2}")
 _SAME = re.compile(
-    r"[SRPV][a-z]{1,2}\d?|En|nl|pl|FLT[a-z]|SHA-256|[0-9a-f]{64}|[\d .+−×\u202f-]+(deg|mrad|nl|pl|mm[²³]?|px|[kMGT]B)"
+    r"[SRPV]\d*[a-zS]{1,2}m?\d?|En|FLT[a-z]|SHA-256|[0-9a-f]{64}|nl|pl|1/mm²?"
+    r"|[\d .+−×\u202f-]+(deg|mrad|nl|pl|mm[²³]?|px|[kMGT]B)"
     r"|\d{4}-\d\d-\d\d[\d :+UTC-]*|[\w.]+\.\w{3,5}|Wafer Viewer [\w.]+"
 )
 """Symbols of parameters, checksums, angles, dates, names of files."""
