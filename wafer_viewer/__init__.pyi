@@ -8,6 +8,7 @@ from .measure.defects.inspection import inspect as inspect
 from .measure.dies.die_lattice import find_dies as find_dies
 from .measure.dies.die_status import statuses as statuses
 from .measure.dies.given_lattice_fit import fitted_dies as fitted_dies
+from .measure.difference import difference as difference
 from .measure.gauge.find_faces import find_faces as find_faces
 from .measure.gauge.gauge_check import gauge_check as gauge_check
 from .measure.gauge.gauge_check import gauge_repeat as gauge_repeat

@@ -48,6 +48,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "measure defects": CommandEntry(
         "defects", "the defects of a patterned wafer, with a status by limits for each die"
     ),
+    "measure difference": CommandEntry("measure", "the difference of two results kept, with its uncertainty"),
     "measure verdict": CommandEntry("acquisition", "whether a wafer is good by the features of its job"),
     "calibrate delay": CommandEntry("calibration", "find the delay from the pulse to the exposure on the rig"),
     "calibrate pixel": CommandEntry("calibration", "find the pixel size and the camera's rotation on the rig"),

@@ -17,6 +17,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from wafer_viewer.cli.arguments import (
     Circle,
+    DatasetFolder,
     File,
     Flag,
     Integers,
@@ -348,6 +349,52 @@ def measure_groove(
     """
     options = ToolOptions(groove=GrooveOptions(shape=shape, conditions=given.conditions))
     _measure("groove", (Region.line(*line, width_um),), src, level, field, result, json, options)
+
+
+def measure_difference(
+    dataset: DatasetFolder,
+    first: Annotated[int, arg(metavar="N")],
+    second: Annotated[int, arg(metavar="N")],
+    other: Annotated[Path | None, arg(metavar="NAME.wafer")] = None,
+    quantity: str = "",
+    result: str = "default",
+    json: bool = False,
+) -> None:
+    """The first of two kept results less the second one; sources of uncertainty that both have count once.
+
+    Args:
+        dataset: The dataset with the results.
+        first: Number of the first result.
+        second: Number of the second result.
+        other: Another dataset with the second result, scanned with the same calibration.
+        quantity: A quantity of both, such as sq; the main one of each by default.
+        result: Name of the reconstruction.
+        json: Print JSON to a terminal too, as into a pipe or a file.
+    """
+    from wafer_viewer.measure.difference import difference
+
+    found = difference(
+        _kept(dataset, result, first),
+        _kept(other or dataset, result, second),
+        quantity=quantity,
+        same_surface=other is None,
+    )
+    if to_program(json):
+        print_json(found.to_dict())
+    else:
+        print(f"{found} ({found.k_text})" if found.expanded is not None else f"{found} ({found.status})")
+
+
+def _kept(folder: Path, result: str, number: int) -> AnyResult:
+    """Return a result that was kept by its number."""
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    findings = Dataset.open(folder).result(result).findings().items
+    for finding in findings:
+        if finding.number == number:
+            return finding
+    known = ", ".join(f"{finding.number}" for finding in findings) or "none"
+    raise MeasureError(f"{folder.name} has no result {number} among those of {result}: it has {known}.")
 
 
 def _require_one_way(upper: bool, lower: bool, faces: str | None) -> None:

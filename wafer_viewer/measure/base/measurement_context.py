@@ -27,7 +27,7 @@ NOISE, Z_SCALE, LINEARITY, LEVELLING = "noise and form of the faces", "z scale",
 DRIFT, POSES, INTERPOLATION = "drift during the scan", "poses of the fields", "interpolation between frames"
 Z_JITTER, FLICKER = "z jitter of the frames", "flicker of the light"
 GAPS = "frames missing or left out"
-WINDOW = "resolution of the focus window"
+PIXEL_SCALE, WINDOW = "pixel scale", "resolution of the focus window"
 WINDOW_BASE_PX2 = 1.5
 """Variance of the average that a focus measure takes besides its window, px2: errors of caps whose radius is known."""
 REPEATABILITY, TEMPERATURE, ABBE = "repeatability", "temperature", "Abbe offset"
@@ -193,7 +193,7 @@ class MeasurementContext:
 
     def lateral_lines(self, length_um: float) -> dict[str, float]:
         """Return the budget lines in um that every lateral length has: pixel scale and, if measured, mapping."""
-        lines = {"pixel scale": self.u_pixel_scale * abs(length_um)}
+        lines = {PIXEL_SCALE: self.u_pixel_scale * abs(length_um)}
         return lines if self.u_mapping_um is None else {**lines, "x-y mapping deviation": self.u_mapping_um}
 
     @property

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, Lines, MeasurementContext
 from wafer_viewer.measure.defects.features import DefectOutline, Gathered, Mask, height_of, outline_of, shape_of
 from wafer_viewer.measure.defects.segmentation import DefectPiece, evidence_of
 from wafer_viewer.measure.dies.die_cells import CellGrid
@@ -238,7 +238,7 @@ def _sizes(
     area = 0.0 if not resolved else outline.area_um2
     edge_um = U_EDGE_PX * pixel_um
     of_area: Lines | None = {
-        "pixel scale": 2 * reading.u_pixel_scale * area,
+        PIXEL_SCALE: 2 * reading.u_pixel_scale * area,
         "place of the outline": math.pi * (outline.major_um + outline.minor_um) / 2 * edge_um,
     }
     n = int(np.count_nonzero(inside))

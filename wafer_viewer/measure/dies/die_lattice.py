@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats
-from wafer_viewer.measure.base.measurement_context import MeasurementContext
+from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
 from wafer_viewer.measure.dies.lattice_refinement import Registered, Single, cells_over, dissimilar_cells, refined
 from wafer_viewer.measure.dies.periodicity import MEND, Periods, periods_of, vertex
@@ -348,7 +348,7 @@ def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -
     each = grid.pitch_x_um, grid.pitch_y_um
     if grid.by == "given" and not grid.u_pitch_um:
         return Length(value_um=each[0], status="not evaluated"), Length(value_um=each[1], status="not evaluated")
-    lines = ({"fit of the lattice": grid.u_pitch_um, "pixel scale": um * reading.u_pixel_scale} for um in each)
+    lines = ({"fit of the lattice": grid.u_pitch_um, PIXEL_SCALE: um * reading.u_pixel_scale} for um in each)
     along_x, along_y = (reading.length(um, line) for um, line in zip(each, lines, strict=True))
     return along_x, along_y
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer, level_for, require_area
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, Lines, MeasurementContext
 from wafer_viewer.measure.base.plane_faces import Face, enough_points, face_of
 from wafer_viewer.model.measurement.measurements import FaceAngle
 from wafer_viewer.model.region import Region
@@ -111,7 +111,7 @@ def _lines(reading: MeasurementContext, a: Face, b: Face) -> Lines:
     per_scale = abs(_angle_deg(*(slope * (1 + SCALE_STEP) for slope in slopes)) - _angle_deg(*slopes)) / SCALE_STEP
     return {
         "z scale": per_scale * reading.u_z_scale,
-        "pixel scale": per_scale * reading.u_pixel_scale,
+        PIXEL_SCALE: per_scale * reading.u_pixel_scale,
         "noise and form of the faces": Scatter.joined(_tilt_u_deg(a), _tilt_u_deg(b)),
         **reading.frame_lines(math.degrees(math.hypot(_per_height(a), _per_height(b)))),
     }

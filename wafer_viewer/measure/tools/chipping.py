@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 
 from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats, Layer, points_in
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, Lines, MeasurementContext
 from wafer_viewer.measure.base.robust_fit import EdgeLine
 from wafer_viewer.measure.edges.edge_search import (
     EdgePoints,
@@ -256,7 +256,7 @@ def _area(
     if u_um is None:
         return reading.quantity(area_um2, "um2", None)
     lines: Lines = {
-        "pixel scale": 2 * reading.u_pixel_scale * area_um2,
+        PIXEL_SCALE: 2 * reading.u_pixel_scale * area_um2,
         "scatter of the edge points": Scatter.joined(u_um.times(length_um), noise_um * math.sqrt(length_um * pixel_um)),
     }
     return reading.quantity(area_um2, "um2", lines)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import ErrorCovariance, WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in
-from wafer_viewer.measure.base.measurement_context import WINDOW, Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, WINDOW, Lines, MeasurementContext
 from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.plane_faces import Face, face_of
 from wafer_viewer.measure.base.robust_fit import Cap, LevelPlane, fit_cap, no_sphere
@@ -219,7 +219,7 @@ def _radius_lines(
     cap_um = (1 - RADIUS.cap_from) * abs(_top_um(cap, around.plane))
     return {
         "z scale": reading.u_z_scale * cap.radius_um,
-        "pixel scale": 2 * reading.u_pixel_scale * cap.radius_um,
+        PIXEL_SCALE: 2 * reading.u_pixel_scale * cap.radius_um,
         "noise and form of the cap": _noise(reading, curvature, errors).times(cap.radius_um**2),
         WINDOW: SHRINKS * reading.sag_um(cap.curvature),
         **reading.frame_lines(cap.radius_um / cap_um),

@@ -28,6 +28,7 @@ from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Laye
 from wafer_viewer.measure.base.measurement_context import (
     LEVELLING,
     NOISE,
+    PIXEL_SCALE,
     POSES,
     Budget,
     Lines,
@@ -457,7 +458,7 @@ def _tilt(reading: MeasurementContext, faces: StepFaces) -> Quantity:
         lines = {
             NOISE: Scatter.largest(slope.scatter(faces) for slope in tilts(faces)).times(1e3),
             "z scale": reading.u_z_scale * _tilt_mrad(faces),
-            "pixel scale": reading.u_pixel_scale * _tilt_mrad(faces),
+            PIXEL_SCALE: reading.u_pixel_scale * _tilt_mrad(faces),
             **({POSES: 1e3 * max(u for u in poses if u is not None)} if None not in poses else {}),
         }
     return reading.quantity(_tilt_mrad(faces), "mrad", lines)

@@ -19,7 +19,7 @@ from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
-from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
+from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, Lines, MeasurementContext
 from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, noise_um, pixel_noise_um
 from wafer_viewer.measure.base.plane_faces import Area, Face, area_of, face_of, lattice_of
 from wafer_viewer.measure.base.robust_fit import plane_design
@@ -124,7 +124,7 @@ def area_volume(
         volume_below=below.volume,
         area_above=above.area,
         area_below=below.area,
-        area=reading.quantity(area.um2, "um2", {"pixel scale": 2 * reading.u_pixel_scale * area.um2}),
+        area=reading.quantity(area.um2, "um2", {PIXEL_SCALE: 2 * reading.u_pixel_scale * area.um2}),
         highest=reading.length(float(over.max()), None),
         lowest=reading.length(float(over.min()), None),
         noise_um=within_um,
@@ -225,7 +225,7 @@ def _lines(
         return None
     return {
         "z scale": reading.u_z_scale * um3,
-        "pixel scale": 2 * reading.u_pixel_scale * um3,
+        PIXEL_SCALE: 2 * reading.u_pixel_scale * um3,
         "noise and form of the border": noise_um3,
         **({UNMEASURED: BIAS_SHARE * hidden_um3} if hidden_um3 > 0 else {}),
         **reading.frame_lines(um2),
