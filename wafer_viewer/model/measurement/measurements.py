@@ -6,6 +6,7 @@ Every result has one `main` quantity, which represents it in a list.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -141,6 +142,10 @@ class ProfileCurve:
     z_um: NDArray[np.float64]
     x_um: NDArray[np.float64]
     y_um: NDArray[np.float64]
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the heights over the distance by matplotlib, in new axes if none are given; return the axes."""
+        return resolve_name("wafer_viewer.draw.plots:plot_profile")(self, axes)
 
 
 class Profile(MeasurementResult, frozen=True, kw_only=True, tag="profile"):

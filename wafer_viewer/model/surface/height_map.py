@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from enum import IntEnum
+from pkgutil import resolve_name
 from typing import Any, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -138,6 +139,10 @@ class AsArray:
         """Return the heights that are measured on, um, float32 [row, col], NaN where there is none."""
         heights = cast(Mosaic, self).window().to_measure()
         return np.array(heights, dtype, copy=copy)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the heights over x and y of the stage by matplotlib, in new axes if none are given; return the axes."""
+        return resolve_name("wafer_viewer.draw.plots:plot_surface")(self, axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
