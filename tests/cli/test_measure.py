@@ -118,14 +118,14 @@ def test_texture_and_roughness_through_filters(measured):
         "slopes": "neighbours",
         "borders": "keep",
         "c_um": None,
-        "mr": None,
+        "mr_percent": None,
     }
     assert found["sq"]["value_um"] < 0.015, "noise of single pixels is taken off"
     line = measured("roughness", "--line", -70, -50, -30, -50, "--lambda-c-um", 10, "--lambda-s-um", 2)
     assert (line["sections"], line["section_um"]) == (4, 10.0)
     assert "4 of 5 sampling lengths" in " ".join(line["notes"])
     assert 0 < line["ra"]["value_um"] < 0.02
-    face = [*face, "--c-um", -0.01, "--mr", 0.1, "--borders", "cut", "--l-filter-um", 10]
+    face = [*face, "--c-um", -0.01, "--mr-percent", 10, "--borders", "cut", "--l-filter-um", 10]
     found = measured("texture", *face)
     assert 0.5 < found["smr_fraction"] <= 1
     assert found["smc"]["value_um"] > 0

@@ -100,6 +100,13 @@ def short_number(value: float) -> str:
     return text.rstrip("0").rstrip(".,") if "." in text or "," in text else text
 
 
+def _plain(value: float) -> str:
+    """Format a number without a unit: three decimals, more of a small one, none of one in thousands."""
+    if 0 < abs(value) < 0.001:
+        return power_of_ten(value)
+    return number(value, 5 if abs(value) < 0.01 else 3 if abs(value) < 10 else 1 if abs(value) < 1000 else 0)
+
+
 def power_of_ten(value: float) -> str:
     """Format a small number to three significant digits as ``1.15 × 10⁻⁵``."""
     exponent = math.floor(math.log10(abs(value)))
@@ -170,7 +177,7 @@ def _text(value: Any, label: Label, unit: str, field: str) -> str:
         case float() if unit:
             return with_unit_sign(number(value, label.digits, signed=label.signed), UNIT_SIGNS[unit])
         case float():
-            return power_of_ten(value) if 0 < abs(value) < 0.001 else number(value, 3 if abs(value) >= 0.01 else 5)
+            return _plain(value)
         case _:
             return f"{value}".replace("_", " ")
 

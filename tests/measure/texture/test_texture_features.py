@@ -73,7 +73,7 @@ def test_fewer_than_five_peaks_have_no_mean_of_five():
 
 
 def test_material_ratios_of_a_sine_are_those_of_its_curve():
-    found = of(wave(15.37, turned_deg=31.0), form_order=0, c_um=0.5, mr=0.1)
+    found = of(wave(15.37, turned_deg=31.0), form_order=0, c_um=0.5, mr_percent=10.0)
     assert found.smr_fraction == pytest.approx(np.arccos(0.5) / np.pi, abs=2e-3)
     assert found.smc.value_um == pytest.approx(np.cos(0.1 * np.pi), abs=4e-3)
     silent = of(wave(15.37), form_order=0)

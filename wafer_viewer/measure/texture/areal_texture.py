@@ -191,7 +191,7 @@ def texture(
     slopes: SlopeScheme = "neighbours",
     borders: Borders = "keep",
     c_um: float | None = None,
-    mr: float | None = None,
+    mr_percent: float | None = None,
     calibration_valid: bool = True,
     layer: Layer | None = None,
     name: str = "",
@@ -223,8 +223,8 @@ def texture(
         its length along the border does not.
     c_um : float, optional
         Height over the mean in um for which the areal material ratio Smr(c) is given. Default None: not given.
-    mr : float, optional
-        Areal material ratio, 0 to 1, for which the height Smc is given. Default None: not given.
+    mr_percent : float, optional
+        Areal material ratio, 0 to 100 %, for which the height Smc is given. Default None: not given.
     calibration_valid : bool, optional
         Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
         calibration, results have status 'uncalibrated' and no uncertainty.
@@ -287,7 +287,7 @@ def texture(
         slopes=slopes,
         borders=borders,
         c_um=c_um,
-        mr=mr,
+        mr_percent=mr_percent,
     )
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "texture")
@@ -346,7 +346,7 @@ def length_parameters(left: Floats, curve: Floats, options: TextureOptions) -> d
         "spk": core.spk_um,
         "svk": core.svk_um,
         **volumes(curve),
-        **({} if options.mr is None else {"smc": height_at(curve, options.mr)}),
+        **({} if options.mr_percent is None else {"smc": height_at(curve, options.mr_percent / 100)}),
     }
 
 

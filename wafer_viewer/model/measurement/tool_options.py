@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.measurement.result_rows import Label
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
 
 # ------------------------------------------------------------------------------------------------------------ levelling
 
@@ -132,7 +132,7 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     wavelengths; None: no filter. noise_um: root mean square noise of the heights, as `calibrate noise` measures it, for
     the uncertainty; None: that of the heights' own uncertainty. slopes: how Sdq and Sdr take slopes, of neighbouring or
     of seven pixels. borders: what a filter evaluates over less than its length. c_um: height over the mean of Smr(c),
-    mr: material ratio of Smc; None: not given.
+    mr_percent: material ratio of Smc; None: not given.
     """
 
     form_order: Annotated[int, Within(0, 8)] = 1
@@ -142,7 +142,7 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     slopes: SlopeScheme = "neighbours"
     borders: Annotated[Borders, Label("Filter at borders")] = "keep"
     c_um: Annotated[float | None, Label("c of Smr(c)")] = None
-    mr: Annotated[Fraction | None, Label("Material ratio of Smc")] = None
+    mr_percent: Annotated[Annotated[float, Within(0, 100)] | None, Label("Material ratio of Smc, %")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -195,7 +195,13 @@ def budget_table(lines: tuple[BudgetLine, ...], quantity: Quantity) -> Table | N
 
 def _freedom(freedom: float | None) -> str:
     """Return degrees of freedom, whole as they are rounded down in tables."""
-    return "∞" if freedom is None else number(math.floor(freedom), 0)
+    if freedom is None:
+        return "∞"
+    return number(math.floor(freedom), 0) if freedom <= MOST_FREEDOM else f">{THIN}{number(MOST_FREEDOM, 0)}"
+
+
+MOST_FREEDOM = 10_000
+"""Degrees of freedom above which a table says no more."""
 
 
 def _part_of_u(u: float, combined: float) -> str:
