@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime, timedelta
 
 import numpy as np
 
@@ -46,6 +47,19 @@ def duration(seconds: float | None) -> str:
     minutes, rest = divmod(rounded, 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def format_time(taken: str, now: datetime) -> str:
+    """Format an ISO 8601 time: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; return other text unchanged."""
+    try:
+        moment = datetime.fromisoformat(taken).astimezone(now.tzinfo)
+    except ValueError:
+        return taken
+    if moment.date() == now.date():
+        return f"today {moment:%H:%M}"
+    if moment.date() == (now - timedelta(days=1)).date():
+        return f"yesterday {moment:%H:%M}"
+    return f"{moment.day} {moment:%b}" + (f" {moment.year}" if moment.year != now.year else "")
 
 
 def size(n_bytes: float | None) -> str:

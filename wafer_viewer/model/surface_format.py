@@ -5,10 +5,10 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.spec import Positive, Spec
+from wafer_viewer.model.spec import Positive, Setting, Spec
 
 Table = Literal["points", "matrix"] | None
 """Meaning of the lines of a text file; None: found out."""
@@ -69,6 +69,15 @@ class SurfaceFormat:
             raise DatasetError(f"The format '{self.title}' has neither a reader nor a writer: give one of them.")
 
 
+_Z_UNIT = Setting("z unit", "Unit of the heights of a surface file, such as um; of points the unit of x and y, too")
+_DEPTHS = Setting("Depths", "The file holds depths, positive downward: they are inverted")
+_LINES = Setting(
+    "Lines",
+    "Meaning of the lines of a text file: points by x, y, z, or the rows of a matrix of heights",
+    titles={None: "found out", "points": "points by x, y, z", "matrix": "rows of a matrix"},
+)
+
+
 class Reading(Spec, frozen=True, kw_only=True):
     """User-supplied properties of a surface file that does not contain them.
 
@@ -78,10 +87,10 @@ class Reading(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
-    z_unit: str | None = None
+    z_unit: Annotated[str | None, _Z_UNIT] = None
     pixel_um: Positive | None = None
-    invert_z: bool = False
-    table: Table = None
+    invert_z: Annotated[bool, _DEPTHS] = False
+    table: Annotated[Table, _LINES] = None
 
 
 def imported(function: Function) -> Callable[..., Any]:

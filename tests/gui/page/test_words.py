@@ -13,7 +13,7 @@ from markupsafe import escape
 
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import seen_session as seen
-from wafer_viewer.gui.page.dialogs import format_time
+from wafer_viewer.draw.number_format import format_time
 from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.page.work_steps import STEPS, done, possible
 from wafer_viewer.gui.presenters import measurement

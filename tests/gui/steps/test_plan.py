@@ -13,7 +13,7 @@ from markupsafe import Markup
 from tests.browser.sessions import fake_session as fake
 from tests.browser.sessions import operator_session as day
 from tests.gui.steps.test_steps import flat, labels
-from wafer_viewer.gui.elements import form as form_module
+from wafer_viewer.gui.dialogs import dialog as dialog_module
 from wafer_viewer.gui.elements.elements import Button, Fold, Html, Input
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.state.view_state import View
@@ -221,12 +221,12 @@ def dialogs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     opened: list[Any] = []
 
     def open_dialog(
-        page: Any, _title: str, _below: str, own: Any, answer: Any, _failed: str, fields: Any = None
+        page: Any, _title: str, _below: str, answer: Any, own: Any, contents: Any = dialog_module.fields_of
     ) -> None:
-        here = Here(page, own, lambda: None)
-        opened.append((here, lambda: answer[2](here.own), lambda: (fields or form_module._all_fields)(here)))
+        here: Any = Here(page, own)
+        opened.append((here, lambda: answer.act(here), lambda: contents(here)))
 
-    monkeypatch.setattr(job_dialogs, "form_dialog", open_dialog)
+    monkeypatch.setattr(job_dialogs, "Dialog", open_dialog)
     return opened
 
 

@@ -176,7 +176,7 @@ def test_passwords_are_not_guessed(bench: Bench) -> None:
 
 
 def test_the_key_of_a_browser_is_on_no_other_page() -> None:
-    from wafer_viewer.gui.page.control_handover import _people, _question
+    from wafer_viewer.gui.dialogs.control_handover import _people, _question
     from wafer_viewer.session.state.snapshot import Browser, ControlState
 
     control = ControlState(

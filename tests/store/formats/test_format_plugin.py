@@ -19,7 +19,7 @@ EVERYWHERE = """
 import json, sys
 from pathlib import Path
 import wafer_viewer as wv
-from wafer_viewer.gui.page.import_export_dialogs import READ_FILES, WRITTEN_TITLES
+from wafer_viewer.gui.dialogs.open_and_export import READ_FILES, WRITTEN_TITLES
 from wafer_viewer.session.files.file_browser import FILE_KINDS
 from wafer_viewer.store.formats.conversion import losses
 

@@ -66,11 +66,27 @@ class Button(Element):
 
 @dataclass(frozen=True, slots=True)
 class Buttons(Element):
-    """Buttons of equal widths side by side, outlined; at_foot: always visible above the leading button."""
+    """Buttons of equal widths side by side, outlined but for a leading one.
+
+    at_foot: always visible above the leading button of the panel. answers: of a dialog, where Escape presses the first
+    and Enter the second.
+    """
 
     buttons: Sequence[Button]
     height_px: int = 32
     at_foot: bool = False
+    answers: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Upload(Element):
+    """A button that sends a file from the browser's computer; `put` gets it. Needs control."""
+
+    label: str
+    put: Callable[[Any], Any]
+    icon: Any = None
+    mime_type: str = "*/*"
+    failed: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +162,12 @@ class Slider(Input):
 
 @dataclass(frozen=True, slots=True)
 class NumberOrEmpty(Input):
-    """A number over `over`, or None while the field is empty."""
+    """A number within limits, or None while the field is empty."""
 
     over: float | None = None
+    least: float | None = None
+    most: float | None = None
+    integer: bool = False
     pause_s: float | None = PAUSE_S
 
 
@@ -183,10 +202,11 @@ class Stack(Element):
 
 @dataclass(frozen=True, slots=True)
 class Fold(Element):
-    """Elements under a title that a person unfolds; they are folded at first."""
+    """Elements under a title that a person unfolds; they are folded at first, unless `unfolded`."""
 
     title: str
     elements: Sequence[Element | None]
+    unfolded: bool = False
 
 
 Elements = Sequence[Element | None]

@@ -1,17 +1,12 @@
-"""Inputs for the fields of a spec, made of their labels, types and limits, and dialogs of them."""
+"""Inputs for the fields of a spec, made of their labels, types and limits."""
 
 from __future__ import annotations
 
-import time
 import typing
 from collections.abc import Callable
 from typing import Any
 
 from wafer_viewer.gui.elements import elements as el
-from wafer_viewer.gui.elements.mount import Mount
-from wafer_viewer.gui.elements.step import C, Here
-from wafer_viewer.gui.page.dialogs import Dialog
-from wafer_viewer.gui.page.page import Page
 from wafer_viewer.model.spec import Spec, settings_of, value_at
 
 
@@ -31,9 +26,12 @@ def spec_input(kind: type[Spec], path: str, value: Any, put: Callable[[Any], Any
         values = {title: key for key, title in titles.items()}
         choose: Callable[[str], Any] = lambda title: put(values[title])  # noqa: E731 - as `put`
         return el.Dropdown(setting.title, titles[value], choose, field.hint, options=tuple(values), **state)
+    kinds = typing.get_args(field.kind) or (field.kind,)
     parts: tuple[str, Any, Callable[[Any], Any], str] = (setting.title, value, put, field.hint)
     if field.kind is str:
         return el.Text(*parts, **state)
+    if str in kinds:
+        return el.Text(setting.title, value or "", lambda text: put(text.strip() or None), field.hint, **state)
     if field.kind is bool:
         return el.Checkbox(*parts, **state)
     least = limit.low if limit is not None else None
@@ -43,59 +41,11 @@ def spec_input(kind: type[Spec], path: str, value: Any, put: Callable[[Any], Any
         return el.Slider(*parts, least=limit.low, most=limit.high, step=setting.step, **state)
     if field.kind in (int, float):
         return el.Number(*parts, step=setting.step, decimals=setting.decimals, least=least, **state)
-    return el.NumberOrEmpty(*parts, over=least, **state)
-
-
-def form_dialog(
-    page: Page,
-    title: str,
-    below: str,
-    own: C,
-    answer: tuple[str, Any, Callable[[C], Any]],
-    failed: str,
-    fields: Callable[[Here[C]], el.Elements] | None = None,
-) -> Here[C]:
-    """Open a dialog of inputs and return its arguments.
-
-    Parameters
-    ----------
-    page : Page
-        Page that the dialog lies on.
-    title, below : str
-        Heading and the sentence below it.
-    own : Spec or dataclass
-        Initial value of what the dialog holds.
-    answer : tuple
-        Label, icon and callback of the confirming button; the callback gets what the dialog holds.
-    failed : str
-        Title of a failure.
-    fields : callable, optional
-        Inputs for what the dialog holds; without it those of all labelled fields of a spec.
-    """
-    dialog = Dialog(page, title, below)
-    label, icon, act = answer
-    with dialog.modal:
-        mount = Mount(page.gui, _JustDrawn(page), failed)
-    here = Here(page, own, lambda: mount.show((fields or _all_fields)(here)))
-    here.redraw()
-    dialog.answers(label, icon, lambda: act(here.own), failed)
-    return here
-
-
-def _all_fields(here: Here[Any]) -> el.Elements:
-    return form(here.own, here.put, *settings_of(type(here.own)))
-
-
-class _JustDrawn:
-    """A page whose shown state is never older than an input: a dialog draws itself."""
-
-    def __init__(self, page: Page) -> None:
-        self.tell, self.say, self.settle = page.tell, page.say, page.settle
-        self.on_entered, self.entered = page.on_entered, page.entered
-
-    @property
-    def as_of_s(self) -> float:
-        return time.monotonic()
+    limits: dict[str, Any] = {"over": least} if limit is not None and limit.open_low else {}
+    if float not in kinds:
+        put_whole: Callable[[float | None], Any] = lambda n: put(n if n is None else round(n))  # noqa: E731 - as `put`
+        parts = (setting.title, value, put_whole, field.hint)
+    return el.NumberOrEmpty(*parts, **limits | state)
 
 
 def _putting(put: Callable[[str, Any], Any], path: str) -> Callable[[Any], Any]:

@@ -53,15 +53,16 @@ class Mount:
     which is missing is hidden until it returns. Only what differs is sent.
     """
 
-    def __init__(self, gui: viser.GuiApi, page: Drawn, failed: str) -> None:
+    def __init__(self, gui: viser.GuiApi, page: Drawn, failed: str, container: Any = None) -> None:
         self._gui, self._page, self._failed = gui, page, failed
-        self._folder = gui.add_folder(None, visible=False)
+        self._folder = container or gui.add_folder(None, visible=False)
         self._widgets: dict[Path, Widget] = {}
         self._folds: dict[Path, Any] = {}
 
     def show(self, elements: el.Elements | None) -> None:
         """Show the elements; None hides the panel and leaves its widgets as they are."""
-        set_prop(self._folder, "visible", elements is not None)
+        if hasattr(self._folder, "visible"):
+            set_prop(self._folder, "visible", elements is not None)
         if elements is None:
             return
         present = {placed.path: placed for placed in _placed(el.Stack(elements, failed=self._failed))}
@@ -168,7 +169,8 @@ class FoldWidget:
     """Widget of `Fold`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self.folder = gui.add_folder(placed.element.title, order=placed.order, expand_by_default=False)
+        fold: el.Fold = placed.element
+        self.folder = gui.add_folder(fold.title, order=placed.order, expand_by_default=fold.unfolded)
 
     def show(self, element: el.Fold) -> None:
         """Show the folder."""
@@ -180,9 +182,9 @@ class FoldWidget:
 
 
 class ButtonWidget:
-    """Widget of `Button`."""
+    """Widget of `Button`; the row it is in has its style."""
 
-    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed, *, in_row: bool = False) -> None:
         self._element: el.Button = placed.element
         element, order = self._element, placed.order
         self.handle = handle = gui.add_button(element.label, icon=element.icon, disabled=element.disabled, order=order)
@@ -192,7 +194,7 @@ class ButtonWidget:
             controlled(handle, element.action)
         if element.style == "outlined":
             add_html(gui, outlined_style(handle), order)
-        elif element.style == "leading":
+        elif element.style == "leading" and not in_row:
             add_html(gui, leading_style(handle, element.height_px), order)
 
     def show(self, element: el.Button) -> None:
@@ -216,14 +218,17 @@ class ButtonsWidget:
     """Widget of `Buttons`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        row = placed.element
+        row: el.Buttons = placed.element
         self._buttons = [
-            ButtonWidget(gui, page, replace(placed, element=button, failed=button.failed or placed.failed))
+            ButtonWidget(gui, page, replace(placed, element=button, failed=button.failed or placed.failed), in_row=True)
             for button in row.buttons
         ]
         handles = [button.handle for button in self._buttons]
         foot = Markup().join(map(at_foot_style, handles)) if row.at_foot else Markup()
-        add_html(gui, row_style(handles, row.height_px) + foot, placed.order)
+        marks = zip(("wv-away", "wv-do") if row.answers else (), handles, strict=False)
+        keys = Markup().join(_KEY.format(mark, handle._impl.uuid) for mark, handle in marks)
+        filled = next((h for h, one in zip(handles, row.buttons, strict=True) if one.style == "leading"), None)
+        add_html(gui, row_style(handles, row.height_px, filled) + foot + keys, placed.order)
 
     def show(self, element: el.Buttons) -> None:
         """Bring each button up to date."""
@@ -234,6 +239,31 @@ class ButtonsWidget:
         """Hide all buttons."""
         for button in self._buttons:
             button.hide()
+
+
+_KEY = Markup('<span hidden class="{}" data-button="{}"></span>')
+"""Mark that tells the script of keys which button Escape or Enter presses."""
+
+
+class UploadWidget:
+    """Widget of `Upload`."""
+
+    def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
+        self._element = element = placed.element
+        self._handle = controlled(
+            gui.add_upload_button(element.label, icon=element.icon, mime_type=element.mime_type, order=placed.order)
+        )
+        self._handle.on_upload(guarded(page, placed.failed)(lambda event: self._element.put(event.target.value)))
+        add_html(gui, outlined_style(self._handle, 30), placed.order)
+
+    def show(self, element: el.Upload) -> None:
+        """Set the callback of the next file."""
+        self._element = element
+        set_prop(self._handle, "visible", True)
+
+    def hide(self) -> None:
+        """Hide the button."""
+        set_prop(self._handle, "visible", False)
 
 
 class ToggleWidget:
@@ -293,7 +323,8 @@ class InputWidget:
         element, value = self._element, self._input.value
         self._page.settle(self._failed)
         if isinstance(element, el.NumberOrEmpty):
-            value = number_of(value, element.label, over=element.over)
+            limits = {"over": element.over, "least": element.least, "most": element.most}
+            value = number_of(value, element.label, integer=element.integer, **limits)
         return element.put(value)
 
 
@@ -361,6 +392,7 @@ WIDGETS: dict[type[el.Element], Callable[[viser.GuiApi, Drawn, _Placed], Widget]
     el.Fold: FoldWidget,
     el.Button: ButtonWidget,
     el.Buttons: ButtonsWidget,
+    el.Upload: UploadWidget,
     el.Toggle: ToggleWidget,
     **dict.fromkeys(_ADD, InputWidget),
 }

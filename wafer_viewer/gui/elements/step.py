@@ -23,25 +23,28 @@ class Here(Generic[C]):
     """Arguments of a step: the session's snapshot, the view of this browser, and what it holds itself.
 
     page: commands of the session and changes of the view. ask: what takes its time. own: a frozen dataclass of what
-    nobody else needs, such as a name that is typed; a callback finds the newest. redraw: draws the step again.
+    nobody else needs, such as a name that is typed; a callback finds the newest.
     """
 
-    def __init__(self, page: Page, own: C, redraw: Callable[[], None] | None = None) -> None:
+    def __init__(self, page: Page, own: C) -> None:
         self.page = page
-        self.redraw = redraw or page.redraw
+        self.redraw = page.redraw
         self.ask: Ask = page.answers
         self.own = own
         self.snapshot, self.view = page.session.snapshot, page.view
 
     def keep(self, **changes: Any) -> None:
         """Change what the step holds, and draw again."""
-        self.own = replace(self.own, **changes)
+        self.hold(replace(self.own, **changes))
+
+    def hold(self, own: C) -> None:
+        """Replace what the step holds, and draw again."""
+        self.own = own
         self.redraw()
 
     def put(self, path: str, value: Any) -> None:
         """Change a field of what the step holds by its path, and draw again."""
-        self.own = with_field(self.own, path, value)
-        self.redraw()
+        self.hold(with_field(self.own, path, value))
 
 
 Picks = Mapping[str, Callable[[Here[C], str], Any]]

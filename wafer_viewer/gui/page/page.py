@@ -78,6 +78,8 @@ class Page:
         self._at_close: list[Callable[[], None]] = []
         self.answers = Ask(self)
         self._parts: Sequence[PagePart] = ()
+        self.opened: Sequence[PagePart] = ()
+        """Dialogs, which are drawn last."""
         self._typed: WeakSet[Debouncer] = WeakSet()
         self._typing = threading.Lock()
         """Held for the set of what is typed: inputs are added by one thread while another looks through it."""
@@ -294,7 +296,7 @@ class Page:
             return
         self._restore(snapshot)
         self._tell_standing(snapshot)
-        self._show(self._parts, snapshot)
+        self._show((*self._parts, *self.opened), snapshot)
 
     def _show(self, parts: Sequence[PagePart], snapshot: Snapshot) -> None:
         view = replace(self.view, step="acquire") if self.watches_scan else self.view

@@ -299,25 +299,6 @@ def _fact(fact: Fact) -> Markup:
 _MAP_PX = (264, 118)
 
 
-ORDERS = {
-    "rows": "along rows",
-    "columns": "along columns",
-    "snake-rows": "snake along rows",
-    "snake-columns": "snake along columns",
-}
-CORNERS = {
-    "top-left": "from top left",
-    "top-right": "from top right",
-    "bottom-left": "from bottom left",
-    "bottom-right": "from bottom right",
-}
-"""Words of the dialog for the order of running numbers, and for the corner in which they begin."""
-
-
-TABLES = {"": "found out", "points": "points by x, y, z", "matrix": "rows of a matrix"}
-"""Words of the dialog for the meaning of the lines of a text file."""
-
-
 def place_html(contents: FileContents | None) -> Markup:
     """Return the drawing of the fields on the sample, with the size of the whole, and what mirrors them."""
     if contents is None or contents.kind != "images":

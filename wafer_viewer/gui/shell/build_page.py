@@ -16,17 +16,16 @@ from typing import TYPE_CHECKING
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.gui.dialogs.control_handover import CONTROL_PICKS, NOT_HANDED_OVER, ControlLock, control_strip
+from wafer_viewer.gui.dialogs.stop import complete_fields_sentence
 from wafer_viewer.gui.elements.step import Here, StepDock, StepPanel
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
 from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar, StepSheet
 from wafer_viewer.gui.overlays.toolbar import PrintPicture, Toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
-from wafer_viewer.gui.page.control_handover import ControlLock
-from wafer_viewer.gui.page.dialogs import add_hints, add_titles
 from wafer_viewer.gui.page.page import Page, PagePart
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
-from wafer_viewer.gui.page.stop import complete_fields_sentence
 from wafer_viewer.gui.page.work_steps import possible
 from wafer_viewer.gui.scenes.pose_overlay import PoseCache
 from wafer_viewer.gui.scenes.scene_view import SceneView
@@ -39,6 +38,7 @@ from wafer_viewer.gui.shell.shortcuts import (
     Palette,
     Parts,
     add_shortcut_dialog,
+    add_titles,
     audit_command,
     commands_of,
     glossary_command,
@@ -259,7 +259,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         head, contact, tour = StepPanel(page, header, None, NOT_DRAWN, HEADER_PICKS), Contact(page), TourGuide(page)
     review = Review(page)
     left = LeftPanel(page, review)  # docked before anything is drawn: the scene is drawn anew when it changes its size
-    control_lock = ControlLock(page)
+    strip = StepPanel(page, control_strip, None, NOT_HANDED_OVER, CONTROL_PICKS)
     reopened = StepPanel(page, confirmation, None, NOT_CONFIRMED, CONFIRMATION_PICKS)
     poses = PoseCache(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
@@ -324,7 +324,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         welcome,
         tour,
         reopened,
-        control_lock,
+        strip,
+        ControlLock(page),
         contact,
         viewpoint,
         drawing,
@@ -345,7 +346,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
 
 
 def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
-    """Create the command palette and the key sheet, and add titles and hints to widgets."""
+    """Create the command palette and the key sheet, and add titles to buttons."""
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     commands = [
         *looking(scene.look_from),
@@ -357,7 +358,6 @@ def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
     ]
     palette = Palette(page, [*commands, add_shortcut_dialog(page, commands)], views.going)
     add_titles(page, commands)
-    add_hints(page.gui)
     return palette
 
 

@@ -9,11 +9,11 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, number, share
+from wafer_viewer.gui.dialogs.control_handover import control_question
+from wafer_viewer.gui.dialogs.stop import can_stop, stop
 from wafer_viewer.gui.elements.elements import Elements, Html
 from wafer_viewer.gui.elements.step import Here, Picks
-from wafer_viewer.gui.page.control_handover import control_question
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.stop import can_stop, stop
 from wafer_viewer.gui.page.work_steps import STEPS, TITLES, done, why_not
 from wafer_viewer.gui.state.view_state import Step, View
 from wafer_viewer.gui.widgets import html

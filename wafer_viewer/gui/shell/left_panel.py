@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,12 +28,12 @@ from wafer_viewer.draw.charts.wafer_map import (
     map_marks_svg,
 )
 from wafer_viewer.draw.colormaps import BRUSH
-from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.number_format import format_time, number
+from wafer_viewer.gui.dialogs.dialog import REASON, Answer, ask, ask_text
+from wafer_viewer.gui.dialogs.import_dialog import import_dialog, take_drops
+from wafer_viewer.gui.dialogs.open_and_export import open_dataset, open_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Text
 from wafer_viewer.gui.elements.step import Here, Picks, StepPanel
-from wafer_viewer.gui.page.dialogs import Dialog, dataset_table, hold_dialog, open_dataset
-from wafer_viewer.gui.page.import_dialog import import_dialog, take_drops
-from wafer_viewer.gui.page.import_export_dialogs import open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import job_list
 from wafer_viewer.gui.presenters.review import ReviewItem, review_items
@@ -54,8 +55,10 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.core.dataset_library import REMOVED
 from wafer_viewer.session.rendering.render_request import Brushed
-from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
+from wafer_viewer.session.state.snapshot import DatasetEntry, RigStatus, Snapshot
 
+HOLD_S = 30.0
+"""Longest time to sign the record of a large dataset, s."""
 MOST_MARKS = 400
 """Maximum number of marked review items; more marks would hide each other."""
 MANY_DATASETS = 8
@@ -354,9 +357,8 @@ def _fly(scene: MapState, x_um: float, y_um: float) -> None:
 def _ask_to_move(page: Page, x_um: float, y_um: float) -> None:
     place = f"X {number(x_um / 1000, 4, signed=True)}, Y {number(y_um / 1000, 4, signed=True)} mm"
     below = f"To {place}. Z does not change: check that nothing is in the way."
-    move = partial(page.session.move_to, x_um=x_um, y_um=y_um)
-    dialog = Dialog(page, "Move the stage?", below)
-    dialog.answers("Move there", ICON.CROSSHAIR, lambda: page.ask(NOT_MOVED, move()), NOT_MOVED)
+    answer = Answer("Move there", ICON.CROSSHAIR, lambda _: page.session.move_to(x_um=x_um, y_um=y_um), NOT_MOVED)
+    ask(page, "Move the stage?", below, answer)
 
 
 def works_and_views(here: Here[None]) -> Elements:
@@ -370,6 +372,44 @@ def works_and_views(here: Here[None]) -> Elements:
 def reviewed(here: Here[None]) -> Elements:
     """Return the list of what is under review."""
     return [Html(review_list(here.snapshot, here.view))]
+
+
+def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> Markup:
+    """Return the table of datasets in the data folder; a click on one picks `what`."""
+    if not entries:
+        return html.empty("No datasets here yet.")
+
+    def line(entry: DatasetEntry) -> Markup:
+        signs = [word for word, yes in (("unfinished", entry.unfinished), ("simulated", entry.simulated)) if yes]
+        marks = (
+            Markup('<small style="color:var(--attention)">{}</small>').format(Markup(" · ").join(signs))
+            if signs
+            else Markup()
+        )
+        frames = Markup("<small>{}</small>").format(entry.frames) if entry.frames else Markup()
+        name = Markup('<span class="wv-cut" title="{}">{}</span>{}{}').format(
+            entry.path, entry.path.stem, marks, frames
+        )
+        look = "sel" if entry.path == opened else ""
+        return html.row(
+            [name, format_time(entry.taken, datetime.now().astimezone())],
+            " n",
+            html.command_pick(what, entry.path),
+            look,
+        )
+
+    return html.table(["Name", "Taken"], [line(entry) for entry in entries], " n")
+
+
+def hold_dialog(page: Page, *, end: bool) -> None:
+    """Ask for the reason of a hold of the open dataset, or of its end."""
+    kept = "They are not removed, however old they are, until somebody ends the hold."
+    below = "The frames may be removed again once they are old enough." if end else kept
+    title, icon = ("End the hold", ICON.LOCK_OPEN) if end else ("Hold the frames", ICON.LOCK)
+    verb = page.session.end_hold if end else page.session.hold_frames
+    failed = "The hold was not ended" if end else "The frames are not held"
+    hold = Answer[Any](title, icon, lambda here: verb(here.own).result(HOLD_S), failed)
+    ask_text(page, title, below, ("Reason", "", REASON), hold)
 
 
 def dataset_list(here: Here[str]) -> Elements | None:

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.dialogs.dialog import Answer, ask_name, ask_text
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import not_on_defect, surface_not_shown
 from wafer_viewer.gui.scene.camera_presets import CameraPose
@@ -62,15 +62,11 @@ class SavedViews:
         page, pose = self._page, self._scene.pose
         if page.session.snapshot.dataset is None or pose is None or not page.view.on_surface:
             return
-        dialog = Dialog(page, "Save view", "Kept with the dataset: every browser can come back to it.")
-        with dialog.modal:
-            name = page.gui.add_text("Name", "", hint="Without a name it is called by its number")
-        view = page.view
-
-        def save() -> None:
-            page.ask("The view was not saved", page.session.notebook.save_view(saved(view, pose, name.value)))
-
-        dialog.answers("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
+        view, verb, field = page.view, page.session.notebook.save_view, "Without a name it is called by its number"
+        below = "Kept with the dataset: every browser can come back to it."
+        save = lambda dialog: verb(saved(view, pose, dialog.own))  # noqa: E731 - short
+        answer = Answer[Any]("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
+        ask_text(page, "Save view", below, ("Name", "", field), answer)
 
     def go_to(self, number: int) -> None:
         """Go to a saved view."""
@@ -104,14 +100,8 @@ class SavedViews:
         page, saved = self._page, self._page.session.snapshot.notebook.book.view(number)
         if saved is None:
             raise DatasetError(f"There is no view {number}: it was deleted.")
-        dialog = Dialog(page, "Rename the view", "The name appears in every browser's list.")
-        with dialog.modal:
-            name = page.gui.add_text("Name", saved.name)
-
-        def rename() -> None:
-            page.ask("The name was not changed", page.session.notebook.rename_view(number, name.value))
-
-        dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name was not changed")
+        rename = partial(page.session.notebook.rename_view, number)
+        ask_name(page, "Rename the view", "The name appears in every browser's list.", saved.name, rename)
 
     def _delete(self, number: int) -> None:
         self._page.ask("The view was not changed", self._page.session.notebook.delete_view(number))

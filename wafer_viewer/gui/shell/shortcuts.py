@@ -5,6 +5,7 @@ A command that is not possible notifies why when it is chosen, by key or in the 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,16 +16,18 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
-from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import Dialog
-from wafer_viewer.gui.page.import_dialog import import_dialog
-from wafer_viewer.gui.page.import_export_dialogs import (
+from wafer_viewer.gui.dialogs.dialog import Dialog
+from wafer_viewer.gui.dialogs.import_dialog import import_dialog
+from wafer_viewer.gui.dialogs.open_and_export import (
     audit_dialog,
     export_dialog,
     export_fields_dialog,
     load_plan_dialog,
     open_dialog,
 )
+from wafer_viewer.gui.dialogs.stop import stop
+from wafer_viewer.gui.elements.elements import Html
+from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import (
     cannot_go_to,
@@ -41,7 +44,6 @@ from wafer_viewer.gui.page.preconditions import (
     surface_not_drawable,
     surface_not_shown,
 )
-from wafer_viewer.gui.page.stop import stop
 from wafer_viewer.gui.page.work_steps import TITLES
 from wafer_viewer.gui.security.access_guard import DOCUMENTATION
 from wafer_viewer.gui.shell.header import switch_theme
@@ -58,7 +60,7 @@ from wafer_viewer.gui.steps.surface.surface_step import COLOUR_BY, FULL_BLEND, F
 from wafer_viewer.gui.tools.tool_palette import icon_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import Command, Group, HtmlBlock, add_html, with_precondition
+from wafer_viewer.gui.widgets.controls import Command, Group, add_html, with_precondition
 from wafer_viewer.gui.widgets.html import with_micro_sign
 from wafer_viewer.model.glossary import Subject, terms_of
 from wafer_viewer.model.measurement.tools import TOOLS
@@ -398,14 +400,53 @@ def add_shortcut_dialog(page: Page, commands: Sequence[Command]) -> Command:
     """Return the command that shows the sheet, which a key of the browser (keyboard.js) asks for, too."""
 
     def show() -> None:
-        dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
-        with dialog.modal:
-            HtmlBlock(page.gui, shortcut_table(commands) + documentation_link())
-        dialog.close_button("Close")
+        below = "Every command is also in the command palette: Ctrl + K."
+        Dialog(page, "Keys", below, None, contents=lambda _: [Html(shortcut_table(commands) + documentation_link())])
 
     page.on_pick("keys", lambda _: show())
     add_html(page.gui, Markup('<div hidden><span class="wv-keys-sheet" {}></span></div>').format(html.pick("keys")))
     return Command("Keys", None, show, group="Page")
+
+
+BUTTONS: dict[str, str] = {
+    "Horizontal cut": "Horizontal cut",
+    "Vertical cut": "Vertical cut",
+    "Add line": "Add a profile line",
+    "Start scan": "Scan, pause, continue",
+    "Pause": "Scan, pause, continue",
+    "Continue": "Scan, pause, continue",
+    "Stop": "Stop all motion",
+    "Stop scan": "Stop all motion",
+    "Cover the sample": "Cover the sample",
+    "Save plan…": "Save plan…",
+    "Open…": "Open a dataset…",
+    "Import…": "Import images…",
+    "Export…": "Export the surface…",
+    "0.5 – 99.5 %": "Colours from 0.5 to 99.5 %",
+    "Delete": "Delete the result",
+    "Keep result": "Keep the result",
+    "Undo": "Undo",
+    "Redo": "Redo",
+    "Next": "Next under review",
+    "Accept": "Accept",
+    "Reject": "Reject",
+    "Real defect": "Accept",
+    "Not a defect": "Reject",
+}
+"""Labels of buttons, and the commands whose keys do the same."""
+
+
+def add_titles(page: Page, commands: Sequence[Command]) -> None:
+    """Add the keys of commands to the titles of their buttons."""
+    titles = json.dumps(titles_of(commands), ensure_ascii=False)
+    add_html(page.gui, Markup('<div hidden data-titles="{}"></div>').format(titles))
+
+
+def titles_of(commands: Sequence[Command]) -> dict[str, str]:
+    """Return the title of each button: its key."""
+    keys = {command.name: command.spoken_key for command in commands if command.key}
+    named = {**BUTTONS, **{step: step for step in TITLES.values()}}
+    return {label: f"Key {keys[name]}" for label, name in named.items() if name in keys}
 
 
 def glossary_html() -> Markup:
@@ -427,10 +468,8 @@ def glossary_command(page: Page) -> Command:
     """Return the command that shows the glossary."""
 
     def show() -> None:
-        dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")
-        with dialog.modal:
-            HtmlBlock(page.gui, glossary_html() + documentation_link())
-        dialog.close_button("Close")
+        below = "The words of this page, of the command line and of reports."
+        Dialog(page, "Glossary", below, None, contents=lambda _: [Html(glossary_html() + documentation_link())])
 
     return Command("Glossary", None, show, group="Page")
 

@@ -14,8 +14,8 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import duration, number, size, with_unit
-from wafer_viewer.gui.page.import_dialog import import_dialog
-from wafer_viewer.gui.page.import_export_dialogs import open_dialog
+from wafer_viewer.gui.dialogs.import_dialog import import_dialog
+from wafer_viewer.gui.dialogs.open_and_export import open_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.steps.report import report_address

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.draw.surface.display_style import eight_bit
+from wafer_viewer.gui.dialogs.dialog import Answer, ask
+from wafer_viewer.gui.dialogs.stop import NOT_STOPPED, stop
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Picture, Progress, Stack
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import Dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import awaited, unfold, verdict_html
-from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.session.files.frame_check import damage_sentence
@@ -67,11 +67,11 @@ def retake(page: Page) -> None:
     if data is None:
         return
 
-    def again() -> None:
+    def again(_: object) -> None:
         page.ask(NOT_RETAKEN, page.session.continue_scan(), lambda _: page.change(step="acquire"))
 
     below = f"{damage_sentence(data.damaged)} {_sample(data)} must lie on the stage as it did for the scan."
-    Dialog(page, "Take damaged frames again?", below).answers("Take them again", ICON.REFRESH, again, NOT_RETAKEN)
+    ask(page, "Take damaged frames again?", below, Answer("Take them again", ICON.REFRESH, again, NOT_RETAKEN))
 
 
 def why_not_retaken(snapshot: Snapshot) -> str | None:

@@ -11,17 +11,16 @@ from typing import Annotated, Any
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.gui.dialogs.dialog import Answer, Dialog
+from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import Dropdown, Element, Elements, Html, Input, NumberPair, Stack, Text
-from wafer_viewer.gui.elements.form import form, form_dialog, spec_input
+from wafer_viewer.gui.elements.form import form, spec_input
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import Dialog
-from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.results import KeptFeature, kept_features
 from wafer_viewer.gui.steps.preflight_lines import lines
 from wafer_viewer.gui.steps.trial import before_release, trial_is_old
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.gui.widgets.number_field import Pair, number_of, pair_of, pair_text, text_of
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.sample import AlignmentMark, Marks
@@ -61,23 +60,25 @@ def required_job(page: Page) -> Job:
 
 def jobs_dialog(page: Page) -> None:
     """Open the dialog that loads a released job."""
-    snapshot = page.session.snapshot
-    dialog = Dialog(page, "Released jobs", f"In {snapshot.data_folder / 'jobs'}, or a file elsewhere.")
-    with dialog.modal:
-        HtmlBlock(page.gui, job_table(snapshot.operating.jobs, "job-in-dialog"))
-        files = FileList(dialog, "job", rows=5)
 
-    def listed(key: str) -> None:
-        dialog.close()
+    def contents(here: FileDialog[None]) -> Elements:
+        return [Html(job_table(here.snapshot.operating.jobs, "job-in-dialog")), *here.files()]
+
+    def listed(here: FileDialog[None], key: str) -> None:
+        here.close()
         load_job(page, Path(key))
 
-    def typed() -> None:
-        if files.is_empty:
+    def typed(here: FileDialog[None]) -> None:
+        if here.is_empty:
             raise PlanError("No job is chosen: click one, or its file.")
-        load_job(page, files.path())
+        load_job(page, here.path())
 
-    page.on_pick("job-in-dialog", listed)
-    dialog.answers("Use this job", ICON.FOLDER_OPEN, typed, "The job was not loaded")
+    below = f"In {page.session.snapshot.data_folder / 'jobs'}, or a file elsewhere."
+    answer = Answer("Use this job", ICON.FOLDER_OPEN, typed, "The job was not loaded")
+    page.on_pick(
+        "job-in-dialog",
+        partial(listed, FileDialog(page, "Released jobs", below, answer, "job", None, contents, rows=5)),
+    )
 
 
 def load_job(page: Page, path: Path) -> None:
@@ -102,8 +103,8 @@ def start_dialog(page: Page, checks: tuple[PreflightCheck, ...], begin: Callable
     """Ask for confirmation of the open preflight checks before the scan starts."""
     below = "The scan can start, but this needs attention:"
     listed = [Html(lines([check for check in checks if check.state != "ok"]))]
-    answer = "Start", ICON.PLAYER_PLAY, begin
-    form_dialog(page, "Start anyway?", below, None, answer, "The scan did not start", lambda _: listed)
+    answer = Answer("Start", ICON.PLAYER_PLAY, begin, "The scan did not start")
+    Dialog(page, "Start anyway?", below, answer, None, lambda _: listed)
 
 
 # -------------------------------------------------------------------------------------------------------------- release
@@ -119,17 +120,20 @@ def trial_dialog(page: Page) -> None:
     """Open the dialog that applies the plan to stored wafers and lists changed verdicts; nothing is released."""
     required_job(page)
     below = "Shows which verdicts would change, and why. Nothing stored is overwritten; a changed recipe takes longer."
-    dialog = Dialog(page, "Try on stored wafers", below)
-    with dialog.modal:
-        files = FileList(dialog, "wafers", rows=7)
-        files.field.value = str(page.session.snapshot.data_folder)
-        result = page.gui.add_text("Reconstruction", DEFAULT_RESULT, hint="Name of the result that is judged")
 
-    def begin() -> None:
-        paths = (files.path(),)
-        page.ask(NOT_TRIED, page.session.trials.begin(paths, result.value.strip() or DEFAULT_RESULT))
+    def contents(here: FileDialog[str]) -> Elements:
+        hint = "Name of the result that is judged"
+        return [*here.files(), Text("Reconstruction", here.own, here.hold, hint)]
 
-    dialog.answers("Try it", ICON.HISTORY, begin, NOT_TRIED)
+    def begin(here: FileDialog[str]) -> Any:
+        return page.session.trials.begin((here.path(),), here.own.strip() or DEFAULT_RESULT)
+
+    title, answer, data = (
+        "Try on stored wafers",
+        Answer("Try it", ICON.HISTORY, begin, NOT_TRIED),
+        page.session.snapshot,
+    )
+    FileDialog(page, title, below, answer, "wafers", DEFAULT_RESULT, contents, rows=7, chosen=str(data.data_folder))
 
 
 def release_dialog(page: Page) -> None:
@@ -141,7 +145,8 @@ def release_dialog(page: Page) -> None:
         before = before_release(now.operating, trial_is_old(now))
         return [Html(before), *form(here.own, here.put, "product", "revision", "why")]
 
-    def release(own: _ReleaseForm) -> None:
+    def release(here: Dialog[_ReleaseForm]) -> None:
+        own = here.own
         why, product, revision = own.why.strip(), own.product.strip(), own.revision.strip()
         now.control.require_reason(why)
         if not (product and revision):
@@ -153,7 +158,7 @@ def release_dialog(page: Page) -> None:
         edit(page, then=write, product=product, revision=revision)
 
     own = _ReleaseForm(product=job.product or job.sample.product, revision=job.revision)
-    form_dialog(page, "Release the job", below, own, ("Release", ICON.LOCK, release), NOT_RELEASED, fields)
+    Dialog(page, "Release the job", below, Answer("Release", ICON.LOCK, release, NOT_RELEASED), own, fields)
 
 
 # -------------------------------------------------------------------------------------------------------------- corners
@@ -176,11 +181,11 @@ def corners_dialog(page: Page) -> None:
         corners = (one for n in range(len(here.own.places)) for one in _corner_inputs(here, n))
         return [*corners, spec_input(Marks, "limit_um", here.own.limit_um, partial(here.put, "limit_um"))]
 
-    def keep(own: _CornersForm) -> None:
-        edit(page, marks=Marks(places=own.places, limit_um=own.limit_um), alignment=None)
+    def keep(here: Dialog[_CornersForm]) -> None:
+        edit(page, marks=Marks(places=here.own.places, limit_um=here.own.limit_um), alignment=None)
 
-    own, answer = _CornersForm(marks.places, marks.limit_um), (KEEP, ICON.CHECK, keep)
-    form_dialog(page, "Alignment corners", below, own, answer, "The corners were not changed", fields)
+    answer = Answer(KEEP, ICON.CHECK, keep, "The corners were not changed")
+    Dialog(page, "Alignment corners", below, answer, _CornersForm(marks.places, marks.limit_um), fields)
 
 
 def _corner_inputs(here: Here[_CornersForm], n: int) -> tuple[Element, Element]:
@@ -242,8 +247,8 @@ def dies_dialog(page: Page) -> None:
     job = required_job(page)
     start = lattice_of(job.dies) if job.dies is not None else suggested_dies(page.session.snapshot.overview)
 
-    def keep(own: _DiesForm) -> None:
-        edit(page, dies=within_fields(_lattice_of_form(own), required_job(page)))
+    def keep(here: Dialog[_DiesForm]) -> None:
+        edit(page, dies=within_fields(_lattice_of_form(here.own), required_job(page)))
 
     own = _DiesForm(
         pitch=pair_text(_given(start.pitch_x_um, start.pitch_y_um)),
@@ -251,7 +256,7 @@ def dies_dialog(page: Page) -> None:
         first_um=(start.x0_um, start.y0_um),
         counts=(start.cols, start.rows),
     )
-    form_dialog(page, "Dies", DIES_TEXT, own, (KEEP, ICON.CHECK, keep), "The dies were not changed")
+    Dialog(page, "Dies", DIES_TEXT, Answer(KEEP, ICON.CHECK, keep, "The dies were not changed"), own)
 
 
 def _lattice_of_form(own: _DiesForm) -> Dies:
@@ -411,14 +416,15 @@ def feature_dialog(page: Page, n: int | None = None) -> None:
     job, stored = required_job(page), kept_features(page.session.snapshot)
     old = job.features[n] if n is not None else None
 
-    def keep(own: FeatureForm) -> None:
+    def keep(here: Dialog[FeatureForm]) -> None:
+        own = here.own
         features = required_job(page).features
         places = _required_places(own, job.dies, counted=old is not None and old.per_die and own.source not in stored)
         made = feature_of(own, places, f"{TOOLS[own.tool].title} {len(features) + 1}")
         edit(page, features=(*features, made) if n is None else (*features[:n], made, *features[n + 1 :]))
 
     inputs = partial(_feature_inputs, stored=stored, first=AS_BEFORE if old else BY_HAND, dies=job.dies)
-    form_dialog(page, "Feature", FEATURE_TEXT, FeatureForm.of(old), (KEEP, ICON.CHECK, keep), STAYS, inputs)
+    Dialog(page, "Feature", FEATURE_TEXT, Answer(KEEP, ICON.CHECK, keep, STAYS), FeatureForm.of(old), inputs)
 
 
 def _feature_inputs(
@@ -428,17 +434,13 @@ def _feature_inputs(
     own, chosen = here.own, stored.get(here.own.source)
     settings = settings_of(Feature)
 
-    def keep(form: FeatureForm) -> None:
-        here.own = form
-        here.redraw()
-
     def take(source: str) -> None:
         form, result = replace(here.own, source=source), stored.get(source)
-        keep(form if result is None else form.with_result(result).with_quantity(result))
+        here.hold(form if result is None else form.with_result(result).with_quantity(result))
 
     def take_quantity(quantity: str) -> None:
         form, result = replace(here.own, quantity=quantity), stored.get(here.own.source)
-        keep(form if result is None else form.with_quantity(result))
+        here.hold(form if result is None else form.with_quantity(result))
 
     def field(name: str, **state: Any) -> Input:
         return spec_input(Feature, name, getattr(own, name), partial(here.put, name), **state)

@@ -11,6 +11,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, duration, number, share, size, with_unit
+from wafer_viewer.gui.dialogs.open_and_export import load_plan_dialog, save_dialog
 from wafer_viewer.gui.elements.elements import (
     Button,
     Buttons,
@@ -20,7 +21,6 @@ from wafer_viewer.gui.elements.elements import (
     Stack,
 )
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.import_export_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import unfold
 from wafer_viewer.gui.steps.align import ALIGN_PICKS, align_section, operator_view

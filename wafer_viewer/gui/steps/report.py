@@ -11,9 +11,9 @@ from urllib.parse import quote
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.gui.dialogs.open_and_export import save_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Element, Elements, Html, Text, Toggle
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html

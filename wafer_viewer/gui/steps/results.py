@@ -8,10 +8,10 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
+from wafer_viewer.gui.dialogs.dialog import ask_name
+from wafer_viewer.gui.dialogs.open_and_export import save_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import rename_dialog
-from wafer_viewer.gui.page.import_export_dialogs import save_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, list_text, sign_colour, surface_name, symbol
 from wafer_viewer.gui.presenters.results import Box, bounds_of
@@ -74,7 +74,13 @@ def rename_result(page: Page) -> None:
     """Open the dialog that renames the selected result."""
     chosen = next((f for f in page.session.snapshot.findings if f.number == page.view.selected), None)
     if chosen is not None:
-        rename_dialog(page, chosen.number, chosen.name)
+        ask_name(
+            page,
+            "Rename the result",
+            "The name appears in the list, in exports and in reports.",
+            chosen.name,
+            lambda name: page.session.rename(chosen.number, name.strip()),
+        )
 
 
 def delete_result(page: Page) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -62,8 +62,8 @@ class Ask:
         stamp : object
             All that the answer depends on.
         compute : callable or None
-            Gives the answer, on the thread of the question. A WaferViewerError it raises is the problem of the answer.
-            None: there is nothing to ask now, and no answer.
+            Gives the answer, on the thread of the question. A WaferViewerError it raises is the problem of the answer;
+            after a CancelledError the former answer stands. None: there is nothing to ask now, and no answer.
         failed : str
             Title of an unexpected failure.
         about : object, optional
@@ -110,6 +110,8 @@ class Ask:
             answer = Answer(compute())
         except WaferViewerError as fault:
             answer = Answer(problem=str(fault))
+        except CancelledError:
+            answer = question.answer
         finally:
             if question.about == about:
                 question.answer = replace(answer, computing=question.stamp != stamp)

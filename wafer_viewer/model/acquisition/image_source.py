@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Generic, Literal, NoReturn, TypeVar
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.spec import Spec, Within
+from wafer_viewer.model.spec import Setting, Spec, Within
 
 T = TypeVar("T")
 GridOrder = Literal["rows", "columns", "snake-rows", "snake-columns"]
@@ -78,6 +78,35 @@ class ImagePlane:
     says: Statements = Statements()
 
 
+_PIXEL = Setting("Pixel, µm", "Size of a pixel on the sample, µm; over 0", "not given")
+_Z_STEP = Setting("z step, µm", "Between two images of the stack, µm; under 0 if they go down", "not given")
+_NA = Setting("NA", "Numerical aperture of the objective, in air", "not known")
+_LIGHT = Setting("Light, µm", "Wavelength; empty: 0.55 µm", "0.55")
+_PATTERN = Setting("Pattern", "Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
+_ONLY = Setting("Only", "Files to take, by a pattern of their names such as img_*.png")
+_COLUMNS = Setting("Columns", "Of a grid whose fields have running numbers, {n}")
+_ORDER = Setting(
+    "Numbered",
+    "In which order the running numbers of the fields go through the grid",
+    titles={
+        "rows": "along rows",
+        "columns": "along columns",
+        "snake-rows": "snake along rows",
+        "snake-columns": "snake along columns",
+    },
+)
+_CORNER = Setting(
+    "Begins",
+    "The corner of the grid where the first field lies",
+    titles={
+        "top-left": "from top left",
+        "top-right": "from top right",
+        "bottom-left": "from bottom left",
+        "bottom-right": "from bottom right",
+    },
+)
+
+
 class ImageOptions(Spec, frozen=True, kw_only=True):
     """Values of images taken elsewhere that the user gives, and choices where the files leave one.
 
@@ -92,20 +121,20 @@ class ImageOptions(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
-    z_step_um: float | None = None
-    pixel_um: float | None = None
-    numerical_aperture: float | None = None
-    wavelength_um: float | None = None
-    pattern: str | None = None
+    z_step_um: Annotated[float | None, _Z_STEP] = None
+    pixel_um: Annotated[float | None, _PIXEL] = None
+    numerical_aperture: Annotated[float | None, _NA] = None
+    wavelength_um: Annotated[float | None, _LIGHT] = None
+    pattern: Annotated[str | None, _PATTERN] = None
     channel: str | None = None
     time: str | None = None
     position: str | None = None
-    only: str | None = None
+    only: Annotated[str | None, _ONLY] = None
     as_listed: bool = False
     overrule: bool = False
-    columns: Annotated[int, Within(1, 100_000)] | None = None
-    order: GridOrder = "rows"
-    corner: Corner = "top-left"
+    columns: Annotated[Annotated[int, Within(1, 100_000)] | None, _COLUMNS] = None
+    order: Annotated[GridOrder, _ORDER] = "rows"
+    corner: Annotated[Corner, _CORNER] = "top-left"
     mirror: Mirror = "none"
     places: Path | None = None
 

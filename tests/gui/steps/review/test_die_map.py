@@ -50,13 +50,16 @@ class Reviewer:
         self.session, self.answers = SimpleNamespace(snapshot=None), None
         self.inspect(inspection)
         self.review = Review(self)
-        self.here = Here(self, (self.review, lambda: None), lambda: None)
+        self.here = Here(self, (self.review, lambda: None))
 
     def inspect(self, inspection, **state) -> None:
         state = InspectionState(inspection, **state)
         self.session.snapshot = dataclasses.replace(fake.measured(), findings=(), inspection=state)
 
     def entered(self) -> None:
+        pass
+
+    def redraw(self) -> None:
         pass
 
     def pick(self, what: str, key: str) -> None:
@@ -165,7 +168,7 @@ def test_there_is_no_map_of_dies_elsewhere_or_without_dies():
     assert not has_die_map(page.session.snapshot, View(step="surface"))
     page.inspect(replace(INSPECTION, grid=None, dies=()))
     assert not has_die_map(page.session.snapshot, page.view)
-    assert die_map(Here(page, page.here.own, lambda: None)) is None
+    assert die_map(Here(page, page.here.own)) is None
 
 
 def test_by_class_every_defect_has_its_sign_and_by_count_every_die_its_number():

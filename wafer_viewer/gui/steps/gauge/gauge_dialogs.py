@@ -2,58 +2,103 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import date
-from typing import Any
+from typing import Annotated
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, with_unit
-from wafer_viewer.gui.page.dialogs import SIGNED_S, Dialog, sign_dialog
-from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, sign_dialog
+from wafer_viewer.gui.dialogs.file_dialog import FileDialog
+from wafer_viewer.gui.elements.elements import Elements, Html, Stack
+from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, duo
-from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
+from wafer_viewer.model.spec import Positive, Setting, Spec
 
 NO_CERTIFICATE, NOT_SIGNED = "The certificate was not loaded", "The check was not signed"
 NOT_CORRECTED = "The z scale was not changed"
 
 
-@dataclass(frozen=True, slots=True)
-class _Form:
-    """Input fields of a certificate."""
+def _day(event: str) -> Setting:
+    return Setting(event, "The last day, as 2027-03-14" if event == "Valid until" else "The day, as 2026-03-14")
 
-    serials: Any
-    step: Any
-    expanded: Any
-    nominal: Any
-    laboratory: Any
-    number: Any
-    issued: Any
-    expires: Any
+
+class _Form(Spec, frozen=True, kw_only=True):
+    """Certificate as it is typed."""
+
+    serials: Annotated[str, Setting("Blocks", "Serial numbers of the blocks, / between them")] = ""
+    number: Annotated[str, Setting("Number", "Of the certificate")] = ""
+    step_um: Annotated[Positive | None, Setting("Step, µm", "The certified step")] = None
+    expanded_um: Annotated[Positive | None, Setting("U (k = 2), µm", "Expanded uncertainty of the certified step")] = (
+        None
+    )
+    nominal_um: Annotated[Positive | None, Setting("Nominal, µm", "What the step is called")] = None
+    laboratory: Annotated[str, Setting("Laboratory", "Who certifies it")] = ""
+    issued: Annotated[str, _day("Issued")] = ""
+    expires: Annotated[str, _day("Valid until")] = ""
+
+    @classmethod
+    def of(cls, old: Certificate | None) -> _Form:
+        """Return the form of a certificate; an empty one without it."""
+        if old is None:
+            return cls()
+        return cls(
+            serials=" / ".join(old.serials),
+            number=old.number,
+            step_um=old.step.value_um,
+            expanded_um=old.step.expanded_um,
+            nominal_um=old.step_nominal_um,
+            laboratory=old.laboratory,
+            issued=old.issued.isoformat(),
+            expires=old.expires.isoformat(),
+        )
+
+    def certificate(self) -> Certificate:
+        """Return the certificate. Raises MeasureError for missing entries or invalid dates."""
+        return Certificate(
+            number=self.number.strip() or "typed in",
+            laboratory=self.laboratory.strip() or "not named",
+            issued=_date("issue", self.issued),
+            expires=_date("expiry", self.expires),
+            nominal_um=self.nominal_um or self.step_um,
+            value_um=self.step_um,
+            expanded_um=self.expanded_um,
+            serial_numbers=tuple(part.strip() for part in self.serials.split("/") if part.strip()),
+        )
 
 
 def certificate_dialog(page: Page) -> None:
     """Open the dialog that reads a certificate from a file or from input fields."""
-    dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
-    with dialog.modal:
-        files = FileList(dialog, "certificate", rows=3)
-        files.add_upload()
-        HtmlBlock(page.gui, html.head("Or type it in"))
-        form = _form(page, page.session.snapshot.gauge.certificate)
 
-    def take() -> None:
-        if not files.is_empty:
-            page.session.gauge.load_certificate(files.path()).result(SIGNED_S)
+    def contents(here: FileDialog[_Form]) -> Elements:
+        def row(*names: str) -> Stack:
+            return Stack(form(here.own, here.put, *names), side_by_side=True)
+
+        return [
+            *here.files(),
+            here.upload(),
+            Html(html.head("Or type it in")),
+            row("serials", "number"),
+            row("step_um", "expanded_um"),
+            *form(here.own, here.put, "nominal_um", "laboratory"),
+            row("issued", "expires"),
+        ]
+
+    def take(here: FileDialog[_Form]) -> None:
+        if here.is_empty:
+            page.session.gauge.put_certificate(here.own.certificate()).result(WAIT_S)
         else:
-            page.session.gauge.put_certificate(_typed(form)).result(SIGNED_S)
+            page.session.gauge.load_certificate(here.path()).result(WAIT_S)
 
-    dialog.answers("Use certificate", viser.Icon.CERTIFICATE, take, NO_CERTIFICATE)
+    title, below = "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml."
+    answer = Answer("Use certificate", viser.Icon.CERTIFICATE, take, NO_CERTIFICATE)
+    own = _Form.of(page.session.snapshot.gauge.certificate)
+    FileDialog(page, title, below, answer, "certificate", own, contents, rows=3)
 
 
 def sign_check_dialog(page: Page, check: GaugeCheck) -> None:
@@ -63,11 +108,14 @@ def sign_check_dialog(page: Page, check: GaugeCheck) -> None:
     error, scans = with_unit(check.deviation.value_um, 3, signed=True), f"{check.n} scan{'' if check.n == 1 else 's'}"
     summary = Markup('<div style="padding:2px 0 8px"><b style="color:var(--{})">{}</b> · error {} · {}</div>')
     sign_dialog(
-        Dialog(page, "Sign this check?", below),
+        page,
+        "Sign this check?",
+        below,
         summary.format(tone, word, error, scans),
         ("Sign and save", viser.Icon.SIGNATURE),
         lambda name, _: page.session.gauge.sign(name),
         NOT_SIGNED,
+        signer=("Signed by", "Who signs the check; recorded in the log and in reports"),
         name=_operator(page),
         asks_why=False,
     )
@@ -85,49 +133,19 @@ def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
     ]
     same = "These blocks can no longer check this scale, because it was set with them. Use others."
     sign_dialog(
-        Dialog(page, "Correct the z scale?", below),
+        page,
+        "Correct the z scale?",
+        below,
         html.pairs(pairs) + html.note("attention", same, offered.advice),
         ("Correct the z scale", viser.Icon.ARROWS_VERTICAL),
         page.session.gauge.correct_scale,
         NOT_CORRECTED,
-        label="Done by",
+        signer=("Done by", "Who changes the z scale; recorded in the log"),
         name=_operator(page),
     )
 
 
-def _form(page: Page, previous: Certificate | None) -> _Form:
-    gui, height = page.gui, previous.step if previous is not None else None
-    certified_um, u_um = (height.value_um, height.expanded_um) if height is not None else (None, None)
-    nominal_um = previous.step_nominal_um if previous is not None else None
-    duo(gui)
-    serials = gui.add_text("Blocks", " / ".join(previous.serials) if previous is not None else "")
-    number = gui.add_text("Number", previous.number if previous is not None else "")
-    duo(gui)
-    step = OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step")
-    expanded = OptionalNumber(gui, "U (k = 2), µm", u_um, over=0)
-    nominal = OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called")
-    laboratory = gui.add_text("Laboratory", previous.laboratory if previous is not None else "")
-    duo(gui)
-    issued = gui.add_text("Issued", previous.issued.isoformat() if previous is not None else "")
-    expires = gui.add_text("Valid until", previous.expires.isoformat() if previous is not None else "")
-    return _Form(serials, step, expanded, nominal, laboratory, number, issued, expires)
-
-
-def _typed(form: _Form) -> Certificate:
-    """Return the certificate entered in the form. Raises MeasureError for missing entries or invalid dates."""
-    return Certificate(
-        number=form.number.value.strip() or "typed in",
-        laboratory=form.laboratory.value.strip() or "not named",
-        issued=_day("issue", form.issued.value),
-        expires=_day("expiry", form.expires.value),
-        nominal_um=form.nominal.value or form.step.value,
-        value_um=form.step.value,
-        expanded_um=form.expanded.value,
-        serial_numbers=tuple(part.strip() for part in form.serials.value.split("/") if part.strip()),
-    )
-
-
-def _day(event: str, text: str) -> date:
+def _date(event: str, text: str) -> date:
     try:
         return date.fromisoformat(text.strip())
     except ValueError as fault:

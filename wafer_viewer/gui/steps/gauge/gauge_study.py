@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import viser
 from markupsafe import Markup
@@ -11,12 +13,12 @@ from markupsafe import Markup
 from wafer_viewer.draw.charts.study_charts import study_charts_html
 from wafer_viewer.draw.number_format import NOTHING, number, share
 from wafer_viewer.draw.quantities import UNIT_SIGNS
-from wafer_viewer.gui.page.dialogs import Dialog
-from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.dialogs.dialog import Answer
+from wafer_viewer.gui.dialogs.file_dialog import FileDialog
+from wafer_viewer.gui.elements.elements import Dropdown, Elements, NumberOrEmpty
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.html import Tone
-from wafer_viewer.gui.widgets.number_field import OptionalNumber
 from wafer_viewer.model.gauge import GaugeRR, GaugeWord, Interval, Method
 from wafer_viewer.model.quantity import Unit
 from wafer_viewer.session.gauge.repeat_scans import Studied
@@ -32,21 +34,32 @@ METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average
 METHOD_OF: dict[str, Method] = {word.capitalize(): method for method, word in METHODS.items()}
 
 
+METHOD_HINT = "How the study is evaluated, both by AIAG"
+
+
+@dataclass(frozen=True, slots=True)
+class _Study:
+    method: str = next(iter(METHOD_OF))
+    tolerance: float | None = None
+
+
 def study_dialog(page: Page, take: Callable[[Markup], None]) -> None:
     """Open the dialog that reads a study with a method and a tolerance; `take` gets its result."""
     below = "A CSV with the columns part, appraiser or operator, and value; or a folder of repeat scans with a job."
-    dialog = Dialog(page, "Gauge R&R study", below)
-    with dialog.modal:
-        files = FileList(dialog, "study", rows=6)
-        files.add_upload("text/csv")
-        method = page.gui.add_dropdown("Method", tuple(METHOD_OF))
-        tolerance = OptionalNumber(page.gui, "Tolerance", over=0)
+    tolerance_hint = "Upper limit less lower, in the unit of the values; empty: that of the job, if any"
 
-    def read() -> None:
-        made = page.session.studies.gauge_rr(files.path(), METHOD_OF[method.value], tolerance.value)
+    def contents(here: FileDialog[_Study]) -> Elements:
+        method = Dropdown("Method", here.own.method, partial(here.put, "method"), METHOD_HINT, options=tuple(METHOD_OF))
+        put = partial(here.put, "tolerance")
+        tolerance = NumberOrEmpty("Tolerance", here.own.tolerance, put, tolerance_hint, over=0)
+        return [*here.files(), here.upload("text/csv"), method, tolerance]
+
+    def read(here: FileDialog[_Study]) -> None:
+        made = page.session.studies.gauge_rr(here.path(), METHOD_OF[here.own.method], here.own.tolerance)
         take(Markup("").join(map(study, made)))
 
-    dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED, needs_control=False)
+    answer = Answer("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED, commands=False)
+    FileDialog(page, "Gauge R&R study", below, answer, "study", _Study(), contents, rows=6)
 
 
 def study(studied: Studied) -> Markup:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from functools import partial
 from typing import Any
@@ -12,20 +12,21 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, HistoryPoint, history_chart_html
 from wafer_viewer.draw.number_format import NOTHING, number, share, value_and_u
-from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html
+from wafer_viewer.gui.dialogs.dialog import Answer, Dialog, ask, sign_dialog
+from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, NumberOrEmpty
 from wafer_viewer.gui.elements.step import Here, Picks
-from wafer_viewer.gui.page.dialogs import Dialog, sign_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.gauge import day
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import Command, HtmlBlock
-from wafer_viewer.gui.widgets.number_field import OptionalNumber, option_label
+from wafer_viewer.gui.widgets.controls import Command
+from wafer_viewer.gui.widgets.number_field import option_label
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.characteristics import (
     KINDS,
     NOT_MEASURED,
     CalibrationKind,
+    CalibrationOption,
     CalibrationRecord,
     Characteristic,
 )
@@ -166,11 +167,14 @@ def keep(page: Page) -> None:
     simulated = SIMULATED if pending.simulated else Markup()
     value = in_words(pending.result.characteristics[0])
     sign_dialog(
-        Dialog(page, f"Keep: {KINDS[pending.result.kind].title}?", below),
+        page,
+        f"Keep: {KINDS[pending.result.kind].title}?",
+        below,
         Markup('<div style="padding:2px 0 8px"><b>{}</b> {}</div>').format(value, simulated),
         ("Keep and sign", ICON.SIGNATURE),
         page.session.calibration.keep,
         NOT_KEPT,
+        signer=("Signed by", "Who signs the calibration; recorded in the log"),
     )
 
 
@@ -179,51 +183,46 @@ def discard(page: Page) -> None:
     if (pending := page.session.snapshot.calibration.pending) is None:
         return
     below = "Nothing is recorded, and the values in force stay. This cannot be undone."
-    dialog = Dialog(page, f"Discard: {KINDS[pending.result.kind].title}?", below)
+    away = Answer("Discard the result", ICON.TRASH, lambda _: page.session.calibration.discard(), NOT_DISCARDED)
+    ask(page, f"Discard: {KINDS[pending.result.kind].title}?", below, away)
 
-    def away() -> None:
-        page.ask(NOT_DISCARDED, page.session.calibration.discard())
 
-    dialog.answers("Discard the result", ICON.TRASH, away, NOT_DISCARDED)
+Given = Mapping[str, float | None]
+"""Values of a run by name: the options of its kind, `focus_range_um` and `exposure_us`."""
 
 
 def run_dialog(page: Page, kind: CalibrationKind) -> None:
     """Open the dialog that runs a calibration at the present position of the stage, with its options."""
-    one = KINDS[kind]
-    below = f"{one.about} The stage moves: check that nothing is in the way."
-    dialog = Dialog(page, f"Run here: {one.title}", below)
-    gui, limits = page.gui, page.session.snapshot.rig.limits
-    with dialog.modal:
-        HtmlBlock(gui, place(page.session.snapshot.rig, one.needs))
-        options = {
-            option.name: OptionalNumber(
-                gui,
-                option_label(option),
-                option.default,
-                hint=option.about,
-                least=1 if isinstance(option.default, int) else 0,
-                integer=isinstance(option.default, int),
-            )
-            for option in one.options
-        }
-        focus_range = OptionalNumber(
-            gui, "z range, µm", FOCUS_RANGE_UM, over=0, hint="Range about this z in which the focus is searched, µm"
-        )
+    one, limits = KINDS[kind], page.session.snapshot.rig.limits
+
+    def contents(here: Dialog[Given]) -> Elements:
+        def field(name: str, label: str, hint: str, **limits: Any) -> NumberOrEmpty:
+            put: Callable[[float | None], None] = lambda value: here.hold({**here.own, name: value})  # noqa: E731 - short
+            return NumberOrEmpty(label, here.own.get(name), put, hint, **limits)
+
         camera = limits.camera if limits is not None else None
-        exposure = OptionalNumber(
-            gui,
-            "Exposure, µs",
-            hint="Of all frames; an empty field has it found",
-            least=camera.exposure_min_us if camera is not None else None,
-            most=camera.exposure_max_us if camera is not None else None,
-        )
+        least, most = (camera.exposure_min_us, camera.exposure_max_us) if camera is not None else (None, None)
+        return [
+            Html(place(here.snapshot.rig, one.needs)),
+            *(field(o.name, option_label(o), o.about, **_limits(o)) for o in one.options),
+            field("focus_range_um", "z range, µm", "Range about this z in which the focus is searched, µm", over=0),
+            field("exposure_us", "Exposure, µs", "Of all frames; an empty field has it found", least=least, most=most),
+        ]
 
-    def begin() -> None:
-        given = {name: field.value for name, field in options.items()}
-        found = page.session.calibration.run(kind, focus_range.value or FOCUS_RANGE_UM, exposure.value, **given)
-        page.ask(NOT_RUN, found)
+    def begin(here: Dialog[Given]) -> Any:
+        given = {option.name: here.own[option.name] for option in one.options}
+        focus_range_um = here.own["focus_range_um"] or FOCUS_RANGE_UM
+        return page.session.calibration.run(kind, focus_range_um, here.own["exposure_us"], **given)
 
-    dialog.answers("Run here", ICON.PLAYER_PLAY, begin, NOT_RUN)
+    own = {option.name: option.default for option in one.options}
+    own |= {"focus_range_um": FOCUS_RANGE_UM, "exposure_us": None}
+    below = f"{one.about} The stage moves: check that nothing is in the way."
+    Dialog(page, f"Run here: {one.title}", below, Answer("Run here", ICON.PLAYER_PLAY, begin, NOT_RUN), own, contents)
+
+
+def _limits(option: CalibrationOption) -> dict[str, Any]:
+    whole = isinstance(option.default, int)
+    return {"least": 1 if whole else 0, "integer": whole}
 
 
 def kind_title(kind: CalibrationKind) -> Markup:

@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.wafer_map import MapMark
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.elements.elements import Elements, Html, Text
-from wafer_viewer.gui.elements.form import form_dialog
-from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import FIELDS, Dialog
-from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, Dialog, ask, ask_name
+from wafer_viewer.gui.dialogs.file_dialog import FileDialog
+from wafer_viewer.gui.dialogs.open_and_export import FORMAT_HINT, NOT_EXPORTED
+from wafer_viewer.gui.elements.elements import Dropdown, Elements, Html, Number, Text
+from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.results import Box
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, with_decimals
 from wafer_viewer.gui.widgets.number_field import PLACE, pair_of, pair_text
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.inspection.klarf import KlarfDefect
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import Setting, Spec, replace
 from wafer_viewer.session.inspection.inspection_files import Handover, KlarfUnit
 from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, OtherTool
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -116,30 +115,15 @@ def _klarf_heading(text: str) -> Markup:
 # ------------------------------------------------------------------------------------------------------- defect dialogs
 
 
-@dataclass(frozen=True, slots=True)
-class _Named:
+class _Named(Spec, frozen=True, kw_only=True):
     """Name and product that are typed."""
 
-    name: str
-    product: str = ""
+    product: Annotated[str, Setting("Product", "Product on the wafer")] = ""
+    name: Annotated[str, Setting("Name", "Name in lists, exports and reports")]
 
 
-def _names(here: Here[_Named], *names: str) -> list[Text]:
-    return [
-        Text(
-            name.capitalize(),
-            getattr(here.own, name),
-            lambda text, n=name: here.keep(**{n: text}),
-            FIELDS[name.capitalize()],
-        )
-        for name in names
-    ]
-
-
-NOT_GOLDEN = "No golden die was kept"
+NOT_GOLDEN, NOT_OVERLAID = "No golden die was kept", "The KLARF file was not overlaid"
 NEAR = "Places closer than this count as the same defect"
-WAIT_S = 20.0
-"""Timeout for a session command, which is awaited so that the dialog can show its error."""
 FORMATS: dict[str, tuple[Handover, str]] = {
     "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
     "KLARF 1.8": ("klarf18", "-defects.klarf"),
@@ -175,49 +159,58 @@ def export_defects_dialog(page: Page) -> None:
     required_inspection(page)
     snapshot = page.session.snapshot
     stem = snapshot.dataset.path.stem if snapshot.dataset is not None else "wafer"
-    dialog = Dialog(page, "Export the defects", "As judged now; nuisances are included and marked as such.")
-    first = next(iter(FORMATS))
-    with dialog.modal:
-        name = f"{stem}{FORMATS[first][1]}"
-        files = FileList(dialog, "any", rows=7, saving=name, ending=Path(name).suffix)
-        kind = page.gui.add_dropdown("Format", tuple(FORMATS))
-        description = HtmlBlock(page.gui, _lab(LOSES[FORMATS[first][0]]))
 
-    @kind.on_update
-    def _(_: Any) -> None:
-        what, ending = FORMATS[kind.value]
-        files.save_as(f"{stem}{ending}", Path(ending).suffix)
-        description.show(_lab(LOSES[what]))
+    def choose(here: FileDialog[str], title: str) -> None:
+        here.hold(title)
+        ending = FORMATS[title][1]
+        here.save_as(f"{stem}{ending}", Path(ending).suffix)
 
-    def write() -> None:
-        what, target = FORMATS[kind.value][0], files.target()
+    def contents(here: FileDialog[str]) -> Elements:
+        kind = Dropdown("Format", here.own, partial(choose, here), FORMAT_HINT, options=tuple(FORMATS))
+        return [*here.files(), kind, Html(_lab(LOSES[FORMATS[here.own][0]]))]
+
+    def write(here: FileDialog[str]) -> None:
+        what, target = FORMATS[here.own][0], here.target()
         if what == "training" and target.exists():
             raise DatasetError(f"{target} exists already: give the name of a new folder.")
-        files.write_to(target, lambda: begin(what, target))
+        here.write_to(target, partial(begin, what))
 
     def begin(what: Handover, target: Path) -> None:
         done = page.session.defects.files.write(what, target)
-        page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
+        page.ask(NOT_EXPORTED, done, lambda out: page.say("Exported", str(out)))
 
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
+    below, first = "As judged now; nuisances are included and marked as such.", next(iter(FORMATS))
+    answer, name = (
+        Answer("Export", viser.Icon.DOWNLOAD, write, NOT_EXPORTED, commands=False),
+        f"{stem}{FORMATS[first][1]}",
+    )
+    FileDialog(page, "Export the defects", below, answer, "any", first, contents, rows=7, saving=name)
+
+
+@dataclass(frozen=True, slots=True)
+class _Overlay:
+    unit: str = next(iter(UNITS))
+    within_um: float = SAME_PLACE_UM
 
 
 def klarf_dialog(page: Page) -> None:
     """Open the dialog that overlays the defects of another tool from a KLARF file."""
-    below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
-    dialog, gui = Dialog(page, "Overlay a KLARF file", below), page.gui
-    with dialog.modal:
-        files = FileList(dialog, "klarf", rows=6)
-        files.add_upload()
-        unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
-        within = with_decimals(gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR), 2)
+    unit_hint = "Of its lengths; KLARF is in µm where it does not say"
 
-    def lay() -> None:
-        source = files.path()
-        _wait(page.session.defects.files.lay_over(source, UNITS[unit.value], float(within.value)))
+    def contents(here: FileDialog[_Overlay]) -> Elements:
+        own, put = here.own, partial(partial, here.put)
+        unit = Dropdown("Unit", own.unit, put("unit"), unit_hint, options=tuple(UNITS))
+        within = Number("Same within, µm", own.within_um, put("within_um"), NEAR, step=5.0, decimals=2, least=0.0)
+        return [*here.files(), here.upload(), unit, within]
+
+    def lay(here: FileDialog[_Overlay]) -> None:
+        source, own = here.path(), here.own
+        page.session.defects.files.lay_over(source, UNITS[own.unit], own.within_um).result(WAIT_S)
         page.redraw()
 
-    dialog.answers("Overlay", viser.Icon.STACK_2, lay, "The KLARF file was not overlaid")
+    below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
+    answer = Answer("Overlay", viser.Icon.STACK_2, lay, NOT_OVERLAID)
+    FileDialog(page, "Overlay a KLARF file", below, answer, "klarf", _Overlay(), contents, rows=6)
 
 
 def golden_dialog(page: Page) -> None:
@@ -231,33 +224,34 @@ def golden_dialog(page: Page) -> None:
         "Under an existing name it becomes the next version; earlier versions are kept."
     )
 
-    def keep(own: _Named) -> None:
-        if not own.name.strip():
+    def keep(here: Dialog[_Named]) -> None:
+        name = here.own.name.strip()
+        if not name:
             raise DatasetError("The golden die has no name: type one, such as that of the product.")
-        done = page.session.defects.files.keep_golden(own.name.strip())
+        done = page.session.defects.files.keep_golden(name)
         page.ask(NOT_GOLDEN, done, lambda out: page.say("Golden die kept", str(out)))
 
-    def fields(here: Here[_Named]) -> Elements:
-        return [*_names(here, "name"), Html(_lab(_next_version(page, here.own.name.strip())))]
+    def fields(here: Dialog[_Named]) -> Elements:
+        return [*form(here.own, here.put, "name"), Html(_lab(_next_version(page, here.own.name.strip())))]
 
     named = next((header.name for header in files.golden if product and header.product == product), product)
-    answer = "Keep", viser.Icon.CHECK, keep
-    form_dialog(page, "Keep as golden die", below, _Named(named), answer, NOT_GOLDEN, fields)
+    answer = Answer("Keep", viser.Icon.CHECK, keep, NOT_GOLDEN)
+    Dialog(page, "Keep as golden die", below, answer, _Named(name=named), fields)
 
 
 def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None:
     """Open the dialog that imports a golden die from a file, and pass its header to `then`."""
-    below = "A file NAME.3.golden.npz. It is copied into the data folder, as the next version of its name."
-    dialog = Dialog(page, "Choose a golden die", below)
-    with dialog.modal:
-        files = FileList(dialog, "golden", rows=7)
-        files.add_upload()
 
-    def take() -> None:
-        then(page.session.defects.files.add_golden(files.path()).result(WAIT_S))
+    def take(here: FileDialog[None]) -> None:
+        then(page.session.defects.files.add_golden(here.path()).result(WAIT_S))
         page.redraw()
 
-    dialog.answers("Use this golden die", viser.Icon.DIAMOND, take, "No golden die was chosen")
+    def contents(here: FileDialog[None]) -> Elements:
+        return [*here.files(), here.upload()]
+
+    below = "A file NAME.3.golden.npz. It is copied into the data folder, as the next version of its name."
+    answer = Answer("Use this golden die", viser.Icon.DIAMOND, take, "No golden die was chosen")
+    FileDialog(page, "Choose a golden die", below, answer, "golden", None, contents, rows=7)
 
 
 def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectRecipe], None]) -> None:
@@ -268,41 +262,40 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
     of = recipe.product or "its product"
     below = f"Kept beside the datasets. It is applied automatically when a dataset of {of} opens."
 
-    def save(own: _Named) -> None:
-        named = replace(recipe, product=own.product.strip(), name=own.name.strip())
+    def save(here: Dialog[_Named]) -> None:
+        named = replace(recipe, product=here.own.product.strip(), name=here.own.name.strip())
         stored = page.session.snapshot.defect_files.recipes_of(named.product)
         if any(recipe.name == named.name and recipe != named for recipe in stored):
-            _ask_to_replace(page, named, keep)
+            lost = f"It is a recipe of {named.product} already; its present settings are lost."
+            title, over = f"Replace recipe {named.name}?", lambda _: keep(named)
+            ask(page, title, lost, Answer(f"Replace {named.name}", viser.Icon.REPLACE, over, "Nothing was replaced"))
         else:
             keep(named)
 
     def keep(named: DefectRecipe) -> None:
-        _wait(page.session.defects.files.save_recipe(named))
+        page.session.defects.files.save_recipe(named).result(WAIT_S)
         then(named)
         page.redraw()
 
-    answer, own = ("Save", viser.Icon.DEVICE_FLOPPY, save), _Named(recipe.name, recipe.product)
-    form_dialog(page, "Save the recipe", below, own, answer, "It was not saved", lambda h: _names(h, "product", "name"))
+    answer = Answer("Save", viser.Icon.DEVICE_FLOPPY, save, "It was not saved")
+    Dialog(page, "Save the recipe", below, answer, _Named(name=recipe.name, product=recipe.product))
 
 
 def recipes_dialog(page: Page) -> None:
     """Open the dialog that lists the saved recipes, to rename or delete them."""
     files = page.session.snapshot.defect_files
-    dialog = Dialog(
-        page,
-        "Recipes for defects",
-        "The one saved last is applied automatically when a dataset of its product is opened.",
-    )
-    with dialog.modal:
-        HtmlBlock(page.gui, recipe_table(files.recipes) + _lab("") + Markup("").join(map(_lab, files.problems)))
+    listed = recipe_table(files.recipes) + _lab("") + Markup("").join(map(_lab, files.problems))
 
-    def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
-        dialog.close()
-        ask(page, files.recipes[int(key)])
+    def choose(change: Callable[[Page, DefectRecipe], None], here: Dialog[None], key: str) -> None:
+        here.close()
+        change(page, files.recipes[int(key)])
 
-    page.on_pick("defect-recipe-name", lambda key: choose(_rename_dialog, key))
-    page.on_pick("defect-recipe-away", lambda key: choose(_delete_dialog, key))
-    dialog.close_button("Close")
+    picks = {
+        "defect-recipe-name": partial(choose, _rename_dialog),
+        "defect-recipe-away": partial(choose, _delete_dialog),
+    }
+    below = "The one saved last is applied automatically when a dataset of its product is opened."
+    Dialog(page, "Recipes for defects", below, None, None, lambda _: [Html(listed)], picks)
 
 
 def recipe_table(recipes: tuple[DefectRecipe, ...]) -> Markup:
@@ -332,39 +325,26 @@ def required_inspection(page: Page) -> Inspection:
 
 
 def _rename_dialog(page: Page, recipe: DefectRecipe) -> None:
-    def rename(own: _Named) -> None:
-        _wait(page.session.defects.files.rename_recipe(recipe, own.name.strip()))
+    def rename(name: str) -> None:
+        page.session.defects.files.rename_recipe(recipe, name.strip()).result(WAIT_S)
         page.redraw()
 
-    title, below = f"Rename recipe {recipe.name}", f"It stays a recipe of {recipe.product}."
-    answer, named = ("Rename", viser.Icon.PENCIL, rename), _Named(recipe.name)
-    form_dialog(page, title, below, named, answer, "The name was not changed", lambda here: _names(here, "name"))
+    ask_name(page, f"Rename recipe {recipe.name}", f"It stays a recipe of {recipe.product}.", recipe.name, rename)
 
 
 def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
-    below = f"A recipe of {recipe.product}. Its file is deleted; this cannot be undone."
-    dialog = Dialog(page, f"Delete recipe {recipe.name}?", below)
-
-    def delete() -> None:
-        _wait(page.session.defects.files.delete_recipe(recipe))
+    def delete(_: object) -> None:
+        page.session.defects.files.delete_recipe(recipe).result(WAIT_S)
         page.redraw()
 
-    dialog.answers(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe was not changed")
-
-
-def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectRecipe], None]) -> None:
-    below = f"It is a recipe of {recipe.product} already; its present settings are lost."
-    dialog = Dialog(page, f"Replace recipe {recipe.name}?", below)
-    dialog.answers(f"Replace {recipe.name}", viser.Icon.REPLACE, lambda: keep(recipe), "Nothing was replaced")
+    below = f"A recipe of {recipe.product}. Its file is deleted; this cannot be undone."
+    answer = Answer(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe was not changed")
+    ask(page, f"Delete recipe {recipe.name}?", below, answer)
 
 
 def _next_version(page: Page, name: str) -> str:
     versions = [header.version for header in page.session.snapshot.defect_files.golden if header.name == name]
     return f"It will be version {max(versions, default=0) + 1}." if name else ""
-
-
-def _wait(verb: Future[Any]) -> None:
-    verb.result(WAIT_S)
 
 
 def _lab(text: str) -> Markup:
@@ -383,11 +363,9 @@ class Errand:
 
 
 ERRANDS: dict[str, Errand] = {
-    "export": Errand("Export the defects…", "Export…", "Export failed", viser.Icon.DOWNLOAD, export_defects_dialog),
+    "export": Errand("Export the defects…", "Export…", NOT_EXPORTED, viser.Icon.DOWNLOAD, export_defects_dialog),
     "golden": Errand("Keep as golden die…", "Golden die…", NOT_GOLDEN, viser.Icon.DIAMOND, golden_dialog),
-    "klarf": Errand(
-        "Overlay a KLARF file…", "Overlay KLARF…", "The KLARF file was not overlaid", viser.Icon.STACK_2, klarf_dialog
-    ),
+    "klarf": Errand("Overlay a KLARF file…", "Overlay KLARF…", NOT_OVERLAID, viser.Icon.STACK_2, klarf_dialog),
 }
 """Commands in the header of the defect list and in the command palette."""
 
@@ -417,25 +395,25 @@ def excluded_dialog(page: Page, areas: Areas, keep: Callable[[Areas], None], pro
     proposed: further areas, such as that of the defect under review. Nothing changes before Keep is pressed.
     """
 
-    def fields(here: Here[_Excluded]) -> Elements:
+    def fields(here: Dialog[_Excluded]) -> Elements:
         own = here.own
         return [
             Html(area_table(own.areas)),
-            Text("From, µm", own.start, lambda text: here.keep(start=text), f"Lower left {CORNER}"),
-            Text("To, µm", own.end, lambda text: here.keep(end=text), f"Upper right {CORNER}"),
+            Text("From, µm", own.start, partial(here.put, "start"), f"Lower left {CORNER}"),
+            Text("To, µm", own.end, partial(here.put, "end"), f"Upper right {CORNER}"),
         ]
 
-    def without(k: int, **typed: str) -> None:
+    def without(here: Dialog[_Excluded], key: str, **typed: str) -> None:
+        k = int(key)
         here.keep(areas=(*here.own.areas[:k], *here.own.areas[k + 1 :]), **typed)
 
-    def change(k: int) -> None:
-        x0, y0, x1, y1 = here.own.areas[k].bounds_um
-        without(k, start=pair_text((x0, y0), PLACE), end=pair_text((x1, y1), PLACE))
+    def change(here: Dialog[_Excluded], key: str) -> None:
+        x0, y0, x1, y1 = here.own.areas[int(key)].bounds_um
+        without(here, key, start=pair_text((x0, y0), PLACE), end=pair_text((x1, y1), PLACE))
 
-    answer = "Keep", viser.Icon.CHECK, lambda own: keep((*own.areas, *_typed_area(own)))
-    here = form_dialog(page, "Excluded areas", BELOW, _Excluded((*areas, *proposed)), answer, STAYS, fields)
-    page.on_pick("defect-area-change", lambda key: change(int(key)))
-    page.on_pick("defect-area-away", lambda key: without(int(key)))
+    answer = Answer[Any]("Keep", viser.Icon.CHECK, lambda d: keep((*d.own.areas, *_typed_area(d.own))), STAYS)
+    picks = {"defect-area-change": change, "defect-area-away": without}
+    Dialog(page, "Excluded areas", BELOW, answer, _Excluded((*areas, *proposed)), fields, picks)
 
 
 def _typed_area(own: _Excluded) -> Areas:

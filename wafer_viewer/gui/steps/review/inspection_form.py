@@ -13,11 +13,10 @@ from typing import Any, TypeVar
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.number_format import format_time, number
 from wafer_viewer.gui.elements.elements import Button, Buttons, Dropdown, Elements, Html, Input, Stack
 from wafer_viewer.gui.elements.form import form as inputs_of
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import format_time
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.steps.review.defect_form import (
     FORM,

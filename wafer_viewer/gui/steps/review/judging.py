@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
-from wafer_viewer.gui.elements.elements import Text
-from wafer_viewer.gui.elements.form import form_dialog
+from wafer_viewer.gui.dialogs.dialog import Answer, ask_text
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defect, on_defect, require_step
 from wafer_viewer.gui.presenters.results import Box
@@ -56,11 +54,6 @@ def framed(item: ReviewItem, snapshot: Snapshot) -> Box:
     width = max(ROUND_A_PLACE * max(x1 - x0, (y1 - y0) * ASPECT), least_um)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2
-
-
-@dataclass(frozen=True, slots=True)
-class _Note:
-    text: str
 
 
 class Review:
@@ -177,18 +170,9 @@ class Review:
         """Open the note dialog; Enter saves the note."""
         if (item := self.item) is None:
             return
-        saves = ("Save the note", viser.Icon.NOTE, lambda own: self.note(item.key, own.text))
-        form_dialog(
-            self.page,
-            f"Note on {item.sign} · {item.title}",
-            "Saved with the judgement and shown in the report.",
-            _Note(item.judgement.note),
-            saves,
-            NOT_NOTED,
-            lambda here: [
-                Text("Note", here.own.text, lambda text: here.keep(text=text), "Enter saves, Escape cancels")
-            ],
-        )
+        saves = Answer[Any]("Save the note", viser.Icon.NOTE, lambda here: self.note(item.key, here.own), NOT_NOTED)
+        title, below = f"Note on {item.sign} · {item.title}", "Saved with the judgement and shown in the report."
+        ask_text(self.page, title, below, ("Note", item.judgement.note, "Enter saves, Escape cancels"), saves)
 
     def _begin(self, judged: Future[Any]) -> None:
         """Follow a judgement and go on at once: keys may come faster than judgements are kept."""

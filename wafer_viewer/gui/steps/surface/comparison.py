@@ -10,6 +10,8 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import digits_of_u, number, share, value_and_u, with_unit
+from wafer_viewer.gui.dialogs.dialog import Answer
+from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import (
     Button,
     Buttons,
@@ -22,8 +24,6 @@ from wafer_viewer.gui.elements.elements import (
     Toggle,
 )
 from wafer_viewer.gui.elements.step import Here, Picks
-from wafer_viewer.gui.page.dialogs import Dialog
-from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_comparison, no_surface
 from wafer_viewer.gui.widgets import html
@@ -178,19 +178,17 @@ def _ask_other(here: Here[ComparisonForm]) -> None:
     """Open the dialog that compares with any dataset or surface file."""
     page = here.page
     below = "A stitched dataset NAME.wafer, or a surface file: it is laid over what is on show and subtracted."
-    dialog = Dialog(page, "Compare with another surface", below)
-    with dialog.modal:
-        files = FileList(dialog, "surface")
 
-    def begin() -> None:
-        snapshot, path = page.session.snapshot, files.path()
+    def begin(dialog: FileDialog[None]) -> None:
+        snapshot, path = page.session.snapshot, dialog.path()
         if snapshot.dataset is None or snapshot.surface is None:
             raise DatasetError("Nothing is open to compare with: open a dataset with a surface first.")
         opened, field = snapshot.dataset, max(page.view.show, 0)
         first = SurfaceName(path=str(opened.path), result=snapshot.surface.result, field=field)
         _compare(here, first, SurfaceName(path=str(path)))
 
-    dialog.answers("Compare", ICON.ARROWS_DIFF, begin, "Nothing was compared")
+    answer = Answer("Compare", ICON.ARROWS_DIFF, begin, "Nothing was compared")
+    FileDialog(page, "Compare with another surface", below, answer, "surface")
 
 
 def _compare(here: Here[ComparisonForm], first: SurfaceName, second: SurfaceName) -> None:

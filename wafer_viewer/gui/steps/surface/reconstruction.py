@@ -14,10 +14,10 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
 from wafer_viewer.draw.quantities import recipe_rows, setting_text
+from wafer_viewer.gui.dialogs.dialog import Answer, ask
 from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Dropdown, Element, Elements, Html, Stack
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here
-from wafer_viewer.gui.page.dialogs import reconstruct_dialog
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.spec import settings_of, value_at, with_field
@@ -30,6 +30,10 @@ OWN = "Custom"
 """Name of a recipe that matches no preset."""
 BELIEVES_ALL = "Every peak is accepted: neither the second window nor walls are tested."
 NOT_CHANGED = "The surface was not changed"
+REPLACES = (
+    "Its heights are reconstructed with the chosen recipe. Frames and results are kept; the present heights are "
+    "replaced."
+)
 _FORM = (
     "drift",
     "focus_measure",
@@ -81,8 +85,13 @@ def _form(here: Here[Any], recipe: Recipe) -> Iterator[Element]:
             choose(READY_RECIPES[READY[name]])
 
     def again() -> None:
-        page = here.page
-        reconstruct_dialog(page, lambda: page.ask(NOT_CHANGED, page.session.reconstruct(recipe)))
+        page, snapshot = here.page, here.page.session.snapshot
+        if snapshot.surface is None or snapshot.dataset is None:
+            page.ask(NOT_CHANGED, page.session.reconstruct(recipe))
+            return
+        title = f"Replace the surface of {snapshot.dataset.path.stem}"
+        answer = Answer(title, viser.Icon.REFRESH, lambda _: page.session.reconstruct(recipe), NOT_CHANGED)
+        ask(page, f"{title}?", REPLACES, answer)
 
     yield Dropdown("Preset", ready, preset, "All settings at once", options=(*READY, *((OWN,) if ready == OWN else ())))
     for path in _FORM:

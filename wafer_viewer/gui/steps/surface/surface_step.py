@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.draw.number_format import number, share, with_unit
+from wafer_viewer.gui.dialogs.open_and_export import export_dialog, surface_name
 from wafer_viewer.gui.elements.elements import (
     Button,
     Buttons,
@@ -25,7 +26,6 @@ from wafer_viewer.gui.elements.elements import (
     Toggle,
 )
 from wafer_viewer.gui.elements.step import Here, Picks
-from wafer_viewer.gui.page.import_export_dialogs import export_dialog, surface_name
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import verdict_html
 from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS

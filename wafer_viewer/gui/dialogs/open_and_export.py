@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.page.dialogs import Dialog, format_time, open_dataset, open_surface
-from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.draw.number_format import format_time, number
+from wafer_viewer.gui.dialogs.dialog import Answer, Dialog
+from wafer_viewer.gui.dialogs.file_dialog import FileDialog
+from wafer_viewer.gui.elements.elements import Dropdown, Elements, Html, Number
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import Counted, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import BY_SUFFIX, FORMATS, MESH_POINTS, every_for, suffix_of
 from wafer_viewer.model.region import Region
@@ -34,14 +36,12 @@ SHOWN = 200
 
 def audit_dialog(page: Page) -> None:
     """Show the newest entries of the audit log, or why it cannot be read."""
-    dialog = Dialog(page, "Audit log", "What changed something in this folder, signed entry by entry.")
     try:
         shown = audit_table(page.session.recorded_actions(), datetime.now().astimezone())
     except WaferViewerError as fault:
         shown = Markup('<div class="wv-note fault">{}</div>').format(fault)
-    with dialog.modal:
-        HtmlBlock(page.gui, shown)
-    dialog.close_button("Close")
+    below = "What changed something in this folder, signed entry by entry."
+    Dialog(page, "Audit log", below, None, contents=lambda _: [Html(shown)])
 
 
 def audit_table(entries: Sequence[AuditEntry], now: datetime) -> Markup:
@@ -64,6 +64,11 @@ def _row(entry: AuditEntry, now: datetime) -> Markup:
 # ------------------------------------------------------------------------------------------------ import export dialogs
 
 
+ICON = viser.Icon
+SHOW_SURFACE = dict[str, Any](step="surface", show=0, range_um=None, selected=None, frame_k=None)
+"""Changes of the view that show the surface of another dataset."""
+NOT_EXPORTED = "Export failed"
+FORMAT_HINT = "The ending of the file follows"
 WRITTEN_TITLES = {kind.title: kind.suffixes[0] for kind in FORMATS if kind.writer is not None}
 """Formats of the export dialog: suffixes by title."""
 SCENE_ENDING = ".ome.zarr"
@@ -71,20 +76,36 @@ SCENE = "Each field as an image in its solved place: pictures and heights, OME-N
 READ_FILES = ", ".join(kind.suffixes[0] for kind in FORMATS if kind.reader is not None)
 
 
+def open_dataset(page: Page, path: Path) -> None:
+    """Open a dataset and show its surface; show Acquire if its scan is unfinished."""
+
+    def look(_: Any) -> None:
+        data = page.session.snapshot.dataset
+        unfinished = data is not None and not data.finished
+        page.change(**SHOW_SURFACE | ({"step": "acquire"} if unfinished else {}))
+
+    page.ask("The dataset was not opened", page.session.open_dataset(path), look)
+
+
+def open_surface(page: Page, path: Path, says: Reading, name: str | None) -> None:
+    """Import a surface file as a dataset and show it. says: settings that the file lacks."""
+    done = page.session.exchange.import_surface(path, says, name)
+    page.ask("The surface was not opened", done, lambda _: page.change(**SHOW_SURFACE))
+
+
 def open_dialog(page: Page) -> None:
     """Open the dialog that opens a dataset, or imports a surface file as one."""
-    dialog = Dialog(page, "Open a dataset", f"A dataset NAME.wafer, or a surface file ({READ_FILES}).")
-    with dialog.modal:
-        files = FileList(dialog, "dataset", rows=9)
 
-    def begin() -> None:
-        path = files.path()
+    def begin(here: FileDialog[None]) -> None:
+        path = here.path()
         if page.session.exchange.is_surface(path):
             open_surface(page, path, Reading(), None)
         else:
             open_dataset(page, path)
 
-    dialog.answers("Open", viser.Icon.FOLDER_OPEN, begin, "The dataset was not opened")
+    below = f"A dataset NAME.wafer, or a surface file ({READ_FILES})."
+    answer = Answer("Open", ICON.FOLDER_OPEN, begin, "The dataset was not opened")
+    FileDialog(page, "Open a dataset", below, answer, "dataset", rows=9)
 
 
 def save_dialog(
@@ -113,30 +134,21 @@ def save_dialog(
     about : str
         What is written, under the title.
     """
-    dialog = Dialog(page, title, about)
-    with dialog.modal:
-        files = FileList(dialog, "any", saving=name, ending=Path(name).suffix)
 
     def begin(target: Path) -> None:
         page.ask(failed, write(target), lambda path: page.say(saved, str(path)))
 
-    def save() -> None:
-        target = files.target()
-        files.write_to(target, lambda: begin(target))
+    def save(here: FileDialog[None]) -> None:
+        here.write_to(here.target(), begin)
 
-    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, failed, needs_control=False)
+    FileDialog(page, title, about, Answer("Save", ICON.DEVICE_FLOPPY, save, failed, commands=False), "any", saving=name)
 
 
 def load_plan_dialog(page: Page) -> None:
     """Open the dialog that loads a plan from its file."""
-    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan… writes it.")
-    with dialog.modal:
-        files = FileList(dialog, "plan")
-
-    def load() -> None:
-        page.ask("The plan was not loaded", page.session.load_plan(files.path()))
-
-    dialog.answers("Load", viser.Icon.FOLDER_OPEN, load, "The plan was not loaded")
+    below, failed = "A file PLAN.toml, as Save plan… writes it.", "The plan was not loaded"
+    answer = Answer[Any]("Load", ICON.FOLDER_OPEN, lambda here: page.session.load_plan(here.path()), failed)
+    FileDialog(page, "Load a plan", below, answer, "plan")
 
 
 PARTS_COUNTED: dict[Counted, str] = {"all": "", "view": ", in view", "selection": ", selection"}
@@ -150,49 +162,52 @@ def surface_name(view: View) -> str:
     return (f"Field {view.show}" if view.show else "Stitched surface") + part
 
 
+@dataclass(frozen=True, slots=True)
+class _Export:
+    """Format of an export, by its title, and its density."""
+
+    format: str
+    every: int = 1
+
+    @property
+    def ending(self) -> str:
+        return WRITTEN_TITLES[self.format]
+
+
 def export_dialog(page: Page) -> None:
     """Open the dialog that exports the displayed surface; it names what the format cannot hold."""
     snapshot, field = page.session.snapshot, page.view.show or None
-    data, info = snapshot.dataset, snapshot.surface if field is None else None
-    stem = f"{data.path.stem if data else 'surface'}{_ending_of(field)}"
-    statistics, box_um = page.statistics, page.counted_um
-    part = Region.rectangle(*box_um) if box_um is not None else None
-    dialog = Dialog(page, "Export the surface", f"Writes: {surface_name(page.view)}.")
-    size = (
-        (statistics.rows, statistics.cols, statistics.pixel_um)
-        if statistics
-        else (info.rows, info.cols, info.pixel_um)
-        if info
-        else None
-    )
-    with dialog.modal:
-        first = next(iter(WRITTEN_TITLES.values()))
-        files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
-        kind = page.gui.add_dropdown("Format", tuple(WRITTEN_TITLES))
-        every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
-        description = HtmlBlock(page.gui, _description(first, 1, size))
+    data, info = snapshot.dataset, page.statistics or (snapshot.surface if field is None else None)
+    part = Region.rectangle(*page.counted_um) if page.counted_um is not None else None
+    size = (info.rows, info.cols, info.pixel_um) if info else None
 
-    @kind.on_update
-    def _(_: Any) -> None:
-        ending = WRITTEN_TITLES[kind.value]
-        name = Path(files.field.value)
-        files.save_as(f"{name.name.removesuffix(suffix_of(name))}{ending}", ending)
-        every.value = every_for(size[:2], MESH_POINTS) if size and BY_SUFFIX[ending].is_drawing else 1
-        description.show(_description(ending, every.value, size))
+    def take(here: FileDialog[_Export], title: str) -> None:
+        ending, name = WRITTEN_TITLES[title], Path(here.text)
+        is_drawing = size is not None and BY_SUFFIX[ending].is_drawing
+        here.hold(_Export(title, every_for(size[:2], MESH_POINTS) if size and is_drawing else 1))
+        here.save_as(f"{name.name.removesuffix(suffix_of(name))}{ending}", ending)
 
-    @every.on_update
-    def _(_: Any) -> None:
-        description.show(_description(WRITTEN_TITLES[kind.value], every.value, size))
+    def contents(here: FileDialog[_Export]) -> Elements:
+        own = here.own
+        density = "Density: every n-th row and column is written; 1 for all"
+        return [
+            *here.files(),
+            Dropdown("Format", own.format, partial(take, here), FORMAT_HINT, options=tuple(WRITTEN_TITLES)),
+            Number("One pixel in", own.every, lambda n: here.keep(every=int(n)), density, least=1),
+            Html(_description(own.ending, own.every, size)),
+        ]
 
-    def write() -> None:
-        target = files.target()
-        files.write_to(target, lambda: export(target))
+    def export(here: FileDialog[_Export], target: Path) -> None:
+        done = page.session.export_surface(target, field, here.own.every, part)
+        page.ask(NOT_EXPORTED, done, lambda out: page.say("Exported", str(out)))
 
-    def export(target: Path) -> None:
-        done = page.session.export_surface(target, field, int(every.value), part)
-        page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
+    def write(here: FileDialog[_Export]) -> None:
+        here.write_to(here.target(), partial(export, here))
 
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed", needs_control=False)
+    own = _Export(next(iter(WRITTEN_TITLES)))
+    name = f"{data.path.stem if data else 'surface'}{_ending_of(field)}{own.ending}"
+    answer, below = Answer("Export", ICON.DOWNLOAD, write, NOT_EXPORTED, commands=False), surface_name(page.view)
+    FileDialog(page, "Export the surface", f"Writes: {below}.", answer, "any", own, contents, rows=6, saving=name)
 
 
 def export_fields_dialog(page: Page) -> None:
@@ -203,13 +218,12 @@ def export_fields_dialog(page: Page) -> None:
     save_dialog(page, "Export the fields", name, write, "Fields exported", "The fields were not exported", SCENE)
 
 
-def _description(ending: str, every: float, size: tuple[int, int, float] | None) -> Markup:
+def _description(ending: str, every: int, size: tuple[int, int, float] | None) -> Markup:
     """Return output size and losses of the format. size: rows, columns, µm per pixel of the surface, or None."""
     written = ""
     if size is not None:
-        step = max(1, int(every))
-        rows, cols = (-(-n // step) for n in size[:2])
-        pixel_um = number(size[2] * step, 3)
+        rows, cols = (-(-n // every) for n in size[:2])
+        pixel_um = number(size[2] * every, 3)
         written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
     loses = BY_SUFFIX[ending].loses or "The file holds all there is of the surface."
     return Markup('<div class="wv-lab" style="margin-bottom:9px">{}</div>').format(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.gui.page.control_handover import ControlLock
+from wafer_viewer.gui.dialogs.control_handover import ControlLock, control_strip
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import button, command_button, controlled, set_prop
@@ -46,11 +46,14 @@ def gui():
 
 
 @pytest.fixture
-def lock(gui):
-    page = SimpleNamespace(
-        gui=gui, browser=SimpleNamespace(key="b"), on_close=lambda act: None, on_pick=lambda what, act: None
-    )
+def page(gui):
+    page = SimpleNamespace(gui=gui, browser=SimpleNamespace(key="b"), on_close=lambda act: None)
     page.say = lambda *words: None
+    return page
+
+
+@pytest.fixture
+def lock(page):
     return ControlLock(page)
 
 
@@ -72,10 +75,12 @@ def test_what_needs_control_is_locked_while_another_holds_it(gui, lock):
     assert [w.disabled for w in (pause, lot, late)] == [False, False, True]
 
 
-def test_elements_of_html_that_need_control_are_named_by_their_attribute(gui, lock):
+def test_elements_of_html_that_need_control_are_named_by_their_attribute(page):
+    def style(holder: str) -> str:
+        (strip,) = control_strip(SimpleNamespace(snapshot=held_by(holder), page=page))
+        return strip.content
+
     assert html.NEEDS_CONTROL not in html.pick("theme")
     assert html.command_pick("undo", 3) == html.pick("undo", 3) + " " + html.NEEDS_CONTROL
-    lock.show(held_by("a"), View())
-    assert f"[{html.NEEDS_CONTROL}]{{" in gui.drawn[0].content
-    lock.show(held_by("b"), View())
-    assert html.NEEDS_CONTROL not in gui.drawn[0].content
+    assert f"[{html.NEEDS_CONTROL}]{{" in style("a")
+    assert html.NEEDS_CONTROL not in style("b")

@@ -6,17 +6,20 @@ The session refuses an observer's commands; this module disables the widgets tha
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, Dialog
+from wafer_viewer.gui.elements.elements import Elements, Html, Text
+from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, bar, unbar
+from wafer_viewer.gui.widgets.controls import bar, unbar
 from wafer_viewer.model.roles import rule
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
@@ -27,36 +30,48 @@ _MASKED = Markup('<div class="wv-masked"></div>') + html.style_sheet(
     "div:has(>.wv-masked)+div input{-webkit-text-security:disc}"
 )
 """Mark before a text field whose letters are not shown; viser has no field for passwords."""
-SIGN_IN_S = 20.0
-"""Longest time for a password to be compared, s."""
+NOT_HANDED_OVER = "Control was not handed over"
+NAME_HINT = "Shown to the other browsers"
+
+
+def control_strip(here: Here[None]) -> Elements:
+    """Return the note above the panel of an observer or an operator, with the style of what cannot be used."""
+    control, key = here.snapshot.control, here.page.browser.key
+    watching, operating = _lock(control, key)
+    return [Html(_strip(control, key) if watching or operating else "")]
+
+
+CONTROL_PICKS: Picks[None] = {
+    "hands": lambda here, _: control_dialog(here.page),
+    "hands-over": lambda here, to: hand_over(here.page, to),
+    "hands-keep": lambda here, _: here.page.session.control.keep(here.page.browser.key),
+    "hands-ask": lambda here, _: ask(here.page),
+    "sign-in": lambda here, _: sign_in_dialog(here.page),
+    "sign-out": lambda here, _: sign_out(here.page),
+}
+
+
+def _lock(control: ControlState, key: str) -> tuple[bool, bool]:
+    """Return whether a browser only watches, and whether an operator uses it."""
+    there, role = control.browser(key) is not None, control.role_of(key)
+    watching = there and control.why_only_watching(key) is not None
+    return watching, there and not watching and role == "operator"
 
 
 class ControlLock:
-    """Lock of an observer's widgets, with a note that names the holder of the controls."""
+    """Lock of the widgets that an observer or an operator may not use, and news of who holds the controls."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._control = ControlState()
         self._barred: dict[str, Any] = {}
-        self._strip = HtmlBlock(page.gui)
         page.on_close(lambda: self._bar(False, False))
-        page.on_pick("hands", lambda _: control_dialog(page))
-        page.on_pick("hands-over", lambda to: hand_over(page, to))
-        page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
-        page.on_pick("hands-ask", lambda _: ask(page))
-        page.on_pick("sign-in", lambda _: sign_in_dialog(page))
-        page.on_pick("sign-out", lambda _: sign_out(page))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the locked widgets and the note."""
-        control, key = snapshot.control, self._page.browser.key
-        there, role = control.browser(key) is not None, control.role_of(key)
-        watching = there and control.why_only_watching(key) is not None
-        operating = there and not watching and role == "operator"
-        self._strip.show(_strip(control, key) if watching or operating else "")
-        self._bar(watching, operating)
-        self._tell(self._control, control)
-        self._control = control
+        """Update the locked widgets."""
+        self._bar(*_lock(snapshot.control, self._page.browser.key))
+        self._tell(self._control, snapshot.control)
+        self._control = snapshot.control
 
     def _bar(self, watching: bool, operating: bool) -> None:
         """Disable what an observer or an operator may not use, also if made since the last call; enable the rest."""
@@ -98,7 +113,7 @@ def control_question(snapshot: Snapshot, key: str) -> Markup:
 def ask(page: Page) -> None:
     """Request control; a browser without a name enters one first."""
     if page.browser.name:
-        page.ask("Control was not handed over", page.session.control.ask(page.browser.key))
+        page.ask(NOT_HANDED_OVER, page.session.control.ask(page.browser.key))
     else:
         control_dialog(page)
 
@@ -107,26 +122,36 @@ def hand_over(page: Page, to: str) -> None:
     """Hand control over to the browser with a public id."""
     browsers = page.session.snapshot.control.browsers
     key = next((browser.key for browser in browsers if browser.public_id == to), "")
-    page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, key))
+    page.ask(NOT_HANDED_OVER, page.session.control.hand_over(page.browser.key, key))
+
+
+@dataclass(frozen=True, slots=True)
+class _SignIn:
+    name: str = ""
+    password: str = ""
 
 
 def sign_in_dialog(page: Page) -> None:
     """Open the dialog in which a listed person signs in at this browser."""
-    below = "Operators run released jobs; engineers may do everything. The audit log names who was signed in."
-    dialog = Dialog(page, "Sign in", below)
-    with dialog.modal:
-        name = page.gui.add_text("Your name", "")
-        add_html(page.gui, _MASKED)
-        password = page.gui.add_text("Password", "")
 
-    def done() -> None:
-        key = page.browser.key
-        person = page.session.control.sign_in(key, name.value, password.value).result(SIGN_IN_S)
+    def contents(here: Dialog[_SignIn]) -> Elements:
+        password_hint = "Of a person who is listed, not that of the page"
+        return [
+            Text("Your name", here.own.name, partial(here.put, "name"), NAME_HINT),
+            Html(_MASKED, padded=False),
+            Text("Password", here.own.password, partial(here.put, "password"), password_hint),
+        ]
+
+    def done(here: Dialog[_SignIn]) -> None:
+        key, own = page.browser.key, here.own
+        person = page.session.control.sign_in(key, own.name, own.password).result(WAIT_S)
         page.say(f"{person.name} is signed in", f"As {person.role}.")
         if page.session.snapshot.control.holder is None:
-            page.ask("Control was not handed over", page.session.control.ask(key))
+            page.ask(NOT_HANDED_OVER, page.session.control.ask(key))
 
-    dialog.answers("Sign in", viser.Icon.LOGIN, done, "Nobody was signed in", needs_control=False)
+    below = "Operators run released jobs; engineers may do everything. The audit log names who was signed in."
+    answer = Answer("Sign in", viser.Icon.LOGIN, done, "Nobody was signed in", commands=False)
+    Dialog(page, "Sign in", below, answer, _SignIn(), contents)
 
 
 def sign_out(page: Page) -> None:
@@ -138,37 +163,34 @@ def control_dialog(page: Page) -> None:
     """Open the dialog of connected browsers: holder of the controls, name of this browser, request for control."""
     control, key = page.session.snapshot.control, page.browser.key
     holds = control.holds(key)
-    dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
-    with dialog.modal:
-        HtmlBlock(page.gui, _people(control, key) + _signing(control, key))
-        name = page.gui.add_text("Your name", control.name_of(key), visible=not control.is_signed_in(key))
 
-    def done() -> None:
-        _call(page, name.value)
+    def contents(here: Dialog[str]) -> Elements:
+        now = here.snapshot.control
+        name = Text("Your name", here.own, here.hold, NAME_HINT)
+        return [Html(_people(now, key) + _signing(now, key)), None if now.is_signed_in(key) else name]
+
+    def done(here: Dialog[str]) -> None:
+        _call(page, here.own)
         if not holds:
-            page.ask("Control was not handed over", page.session.control.ask(key))
+            page.ask(NOT_HANDED_OVER, page.session.control.ask(key))
 
-    def pass_on(to: str) -> None:
-        dialog.close()
-        _call(page, name.value)
+    def pass_on(here: Dialog[str], to: str) -> None:
+        here.close()
+        _call(page, here.own)
         hand_over(page, to)
 
-    def to_sign_in() -> None:
-        dialog.close()
-        sign_in_dialog(page)
+    def sign(here: Dialog[str], way: str) -> None:
+        here.close()
+        (sign_in_dialog if way == "in" else sign_out)(page)
 
-    def to_sign_out() -> None:
-        dialog.close()
-        sign_out(page)
-
-    page.on_pick("hands-to", pass_on)
-    page.on_pick("to-sign-in", lambda _: to_sign_in())
-    page.on_pick("to-sign-out", lambda _: to_sign_out())
+    below = "One holds the controls; all may look, measure and stop all motion."
     if holds:
-        dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed", needs_control=False)
+        answer = Answer("Done", viser.Icon.CHECK, done, "The name was not changed", commands=False)
     else:
         verb = "Ask for control" if control.holder else "Take control"
-        dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over", needs_control=False)
+        answer = Answer(verb, viser.Icon.HAND_STOP, done, NOT_HANDED_OVER, commands=False)
+    picks = {"hands-to": pass_on, "to-sign": sign}
+    Dialog(page, "Connected browsers", below, answer, control.name_of(key), contents, picks)
 
 
 def _call(page: Page, name: str) -> None:
@@ -205,9 +227,9 @@ def _signing(control: ControlState, key: str) -> Markup:
     """Return the link to sign in or out; empty where nobody is listed."""
     if not control.engineers:
         return Markup()
-    what, verb = ("to-sign-out", "Sign out") if control.is_signed_in(key) else ("to-sign-in", "Sign in…")
+    way, verb = ("out", "Sign out") if control.is_signed_in(key) else ("in", "Sign in…")
     return Markup('<div style="margin-bottom:8px"><span class="wv-link" {}>{}</span></div>').format(
-        html.pick(what), verb
+        html.pick("to-sign", way), verb
     )
 
 

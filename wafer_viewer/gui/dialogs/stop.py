@@ -5,7 +5,8 @@ from __future__ import annotations
 import viser
 
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.dialogs.dialog import Answer, Dialog
+from wafer_viewer.gui.elements.elements import Elements
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.session.state.snapshot import FieldState, OpenDataset, RigStatus, Snapshot
 
@@ -45,20 +46,15 @@ def _ask_what_next(page: Page, data: OpenDataset) -> None:
     text = (
         f"{complete_fields_sentence(data)} To continue takes only the missing frames; that is possible later as well."
     )
-    dialog = Dialog(page, "The scan is stopped", text)
-    dialog.answers(
-        "Continue the scan",
-        viser.Icon.PLAYER_PLAY,
-        lambda: page.ask("The scan did not continue", page.session.continue_scan()),
-        "The scan did not continue",
-        away="End the scan",
-    )
 
-    def close_when_settled(now: Snapshot) -> None:
-        if not _is_interrupted(now, data):
-            dialog.close()
+    def close_when_settled(here: Dialog[None]) -> Elements:
+        if not _is_interrupted(here.snapshot, data):
+            here.close()
+        return ()
 
-    page.on_close(page.session.subscribe(close_when_settled))
+    go_on, failed = lambda _: page.session.continue_scan(), "The scan did not continue"
+    answer = Answer("Continue the scan", viser.Icon.PLAYER_PLAY, go_on, failed, away="End the scan")
+    Dialog(page, "The scan is stopped", text, answer, None, close_when_settled)
 
 
 def _is_interrupted(now: Snapshot, data: OpenDataset | None) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from wafer_viewer.gui.page.import_export_dialogs import SHOWN, audit_table
+from wafer_viewer.gui.dialogs.open_and_export import SHOWN, audit_table
 from wafer_viewer.model.roles import AuditEntry
 
 NOW = datetime(2026, 3, 3, 12, 0, tzinfo=UTC)

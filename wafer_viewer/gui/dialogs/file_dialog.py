@@ -1,4 +1,4 @@
-"""File list inside a dialog: folders and files, shortcuts, a path field, and files uploaded by the browser.
+"""Dialogs that choose files: folders and files, shortcuts, a path field, and files uploaded by the browser.
 
 The session lists folders and renders previews on its own threads; this module only shows its answers.
 """
@@ -19,13 +19,14 @@ from typing import Any, get_args
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import number, size
+from wafer_viewer.draw.number_format import format_time, number, size
+from wafer_viewer.gui.dialogs.dialog import Answer, Dialog, KeepOpen, confirm_overwrite
+from wafer_viewer.gui.elements.elements import Elements, Html, Text, Upload
+from wafer_viewer.gui.elements.step import C
 from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
-from wafer_viewer.gui.page.dialogs import Dialog, KeepOpen, confirm_overwrite, format_time
+from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.uploads import save_upload
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import HtmlBlock, add_html, controlled, outlined
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.files.file_browser import (
     FILE_KINDS,
@@ -46,86 +47,123 @@ MOST_LOOKS = 48
 LOOKS_AT_ONCE = 8
 """Number of previews sent together, to reduce layout work in the browser."""
 ORDERS: dict[Order, str] = {"name": "Name", "size": "Size", "date": "Changed"}
+_FIELD_MARK = Html(Markup('<div class="wv-file-field"></div>'), padded=False)
 _listings = count(1)
 
 
-class FileList:
-    """List of one folder's contents, in a dialog under construction.
+class FileDialog(Dialog[C]):
+    """Dialog that chooses files from the list of a folder.
 
     Parameters
     ----------
-    dialog : Dialog
-        Dialog whose confirming button is pressed when a file is opened from the list.
+    page, title, below, answer, own, contents
+        As of a dialog; the contents are the list alone unless given.
     kind : KindName
         Kind of file to choose.
     rows : int
         Height of the list, in rows.
     saving : str
-        Proposed name of a file to save; empty if a file is opened.
-    ending : str
-        Extension of the file to save.
-    on_open : callable, optional
-        Called when a file is opened from the list, instead of a press of the button.
+        Proposed name of a file to save, with its extension; empty if a file is opened.
+    chosen : str
+        Path that is chosen at first.
     """
 
     def __init__(
         self,
-        dialog: Dialog,
+        page: Page,
+        title: str,
+        below: str,
+        answer: Answer[Any],
         kind: KindName,
+        own: C = None,
+        contents: Callable[[Any], Elements] | None = None,
+        *,
         rows: int = 8,
         saving: str = "",
-        ending: str = "",
-        on_open: Callable[[], None] | None = None,
+        chosen: str = "",
     ) -> None:
-        self._on_open = on_open or (lambda: dialog.press())
-        self._dialog, self._page = dialog, dialog.page
         self._kind_name: KindName = kind
-        self._browsing = dialog.page.session.browsing
-        self._saving, self._ending, self._rows = bool(saving), ending, rows
-        self._folder = self._base = dialog.page.session.snapshot.data_folder
+        self._browsing = page.session.browsing
+        self._saving, self._ending, self._rows = bool(saving), Path(saving).suffix, rows
+        self._folder = self._base = page.session.snapshot.data_folder
         self._order: Order = "date"
-        self._limit, self._prefix = PAGE, ""
-        self._typing = False
+        self._limit, self._prefix, self._typing = PAGE, "", False
         self._listing_id = 0
         self._shown: Listing | None = None
+        self._places = self._list = self._looks = self._status = Markup()
         self._sent: dict[str, Path] = {}
         self._expected = 1
         self._putting = threading.Lock()
-        gui = self._page.gui
-        self._places = HtmlBlock(gui)
-        self._list = HtmlBlock(gui, padded=False)
-        self._looks = HtmlBlock(gui, padded=False)
-        add_html(gui, Markup('<div class="wv-file-field"></div>'))
-        self.field = gui.add_text("File name", saving) if self._saving else gui.add_text("Path", "")
-        self._status = HtmlBlock(gui)
-        self._listen()
+        self._name = saving
+        self.text = saving or chosen
+        """Text of the field: a path, several of them in quotation marks, or the name of the file to save."""
+        picks = {
+            "file-mark": FileDialog._mark,
+            "file-open": FileDialog._open,
+            "file-go": lambda here, path: here._go_and_leave(Path(path)),
+            "file-recent": FileDialog._take_recent,
+            "file-parent": FileDialog._to_parent,
+            "file-order": FileDialog._sort,
+            "file-more": FileDialog._more,
+            "file-too-large": FileDialog._refuse_upload,
+        }
+        super().__init__(page, title, below, answer, own, contents or FileDialog.files, picks)
         self.go(self._folder)
+
+    def files(self) -> Elements:
+        """Return the list with its shortcuts, and the field for the path."""
+        hint = "On the machine that runs the viewer; Tab completes it"
+        path = Text("Path", self.text, self._typed, hint)
+        if self._saving:
+            path = Text("File name", self.text, self._typed, "A folder before it leads there")
+        lists = Html(self._places), Html(self._list, padded=False), Html(self._looks, padded=False)
+        return [*lists, _FIELD_MARK, path, Html(self._status)]
+
+    def upload(self, mime_type: str = "*/*") -> Upload:
+        """Return the button that uploads a file from the browser's computer."""
+        return Upload("Send a file from this computer…", self._take_upload, viser.Icon.UPLOAD, mime_type)
+
+    def opened(self) -> None:
+        """Act when a file is opened from the list: press the confirming button."""
+        self.press()
+
+    def changed(self) -> None:
+        """Act when other files are chosen: draw the dialog."""
+        self.redraw()
+
+    def choose(self, text: str) -> None:
+        """Put other paths into the field."""
+        self.text = text
+        self.changed()
 
     # --- what was chosen
 
     @property
     def kind(self) -> FileKind:
         """Kind of file to choose; when saving, files with its extension."""
-        if self._saving:
-            return FileKind("Files", (self._ending,))
-        return FILE_KINDS[self._kind_name]
+        return FileKind("Files", (self._ending,)) if self._saving else FILE_KINDS[self._kind_name]
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing is chosen or typed."""
+        return not self.text.strip()
 
     def path(self) -> Path:
         """Return the single chosen path; an unsuitable folder is shown instead, and the dialog stays open."""
-        paths = list(self.paths())
-        if len(paths) > 1:
-            raise DatasetError(f"{len(paths)} files are chosen: choose one.")
-        return paths[0]
+        path, *others = self.paths()
+        if others:
+            raise DatasetError(f"{len(others) + 1} files are chosen: choose one.")
+        return path
 
     def chosen(self) -> tuple[Path, ...]:
         """Return the paths in the field, all of which exist. Raises DatasetError if there is none."""
-        texts = _texts(self.field.value)
+        texts = _texts(self.text)
         if texts and set(texts) <= self._sent.keys():
             return tuple(self._sent[text] for text in texts)
-        return tuple(self._browsing.existing(text, self._base) for text in texts)
+        return tuple(map(self.existing, texts))
 
     def existing(self, text: str) -> Path:
-        """Return the path of another typed text, relative to the shown folder. Raises DatasetError as `chosen` does."""
+        """Return the path of a typed text, relative to the shown folder. Raises DatasetError as `chosen` does."""
         return self._browsing.existing(text, self._base)
 
     def paths(self) -> tuple[Path, ...]:
@@ -146,72 +184,57 @@ class FileList:
 
     def target(self) -> Path:
         """Return the path of the file to save; a typed folder is shown instead, and the dialog stays open."""
-        path = self._browsing.path_of(self.field.value, self._base) if self.field.value.strip() else None
-        if path is not None and path.is_dir():
-            name = Path(self._default).name
-            self.field.value = name
-            self.go(path)
+        folder = self._browsing.path_of(self.text, self._base) if not self.is_empty else None
+        if folder is not None and folder.is_dir():
+            self.choose(self._name)
+            self.go(folder)
             raise KeepOpen
-        return saved_as(self._browsing, self.field.value, self._base, self._ending)
+        return saved_as(self._browsing, self.text, self._base, self._ending)
 
-    @property
-    def is_empty(self) -> bool:
-        """True if nothing is chosen or typed."""
-        return not self.field.value.strip()
+    def write_to(self, path: Path, write: Callable[[Path], Any]) -> None:
+        """Write a file; confirm before an existing file is replaced, with the dialog open behind."""
+        if not path.exists():
+            write(path)
+            return
+
+        def over() -> None:
+            write(path)
+            self.close()
+
+        confirm_overwrite(self.page, path, over)
+        raise KeepOpen
 
     def save_as(self, name: str, ending: str) -> None:
         """Propose another name and extension in the same folder."""
-        self._ending, self._default = ending, name
-        self.field.value = name
+        self._ending, self._name = ending, name
+        self.choose(name)
         self.go(self._folder)
+
+    # --- files that the browser uploads
 
     def expect(self, n_files: int) -> None:
         """Take the next files that the browser uploads together."""
         self._expected, self._sent = n_files, {}
 
-    def put(self, path: Path, called: str) -> bool:
-        """Choose a file that the browser uploaded, with those expected before it; return True for the last of them."""
-        if len(self._sent) >= self._expected:
-            self.expect(1)
-        self._sent[called] = path
-        self.field.value = _text_of([Path(name) for name in self._sent])
-        return len(self._sent) == self._expected
-
-    def write_to(self, path: Path, write: Callable[[], None]) -> None:
-        """Write a file; confirm before an existing file is replaced, with the dialog open behind."""
-        if not path.exists():
-            write()
-            return
-
-        def over() -> None:
-            write()
-            self._dialog.close()
-
-        confirm_overwrite(self._page, path, over)
-        raise KeepOpen
-
-    def add_upload(self, mime_type: str = "*/*", then: Callable[[], None] | None = None) -> None:
-        """Add a button below the list that uploads a file from the browser's computer."""
-        gui = self._page.gui
-        icon = viser.Icon.UPLOAD
-        upload = controlled(gui.add_upload_button("Send a file from this computer…", icon=icon, mime_type=mime_type))
-        outlined(gui, upload, 30)
-
-        @upload.on_upload
-        def _(event: Any) -> None:
-            called = event.target.value.name
-            with self._putting:
-                is_last = self.put(save_upload(event.target.value), called)
-                n_sent, expected = len(self._sent), self._expected
-            sent = f"{called} was sent and is chosen." if expected == 1 else f"{n_sent} of {expected} files were sent."
-            self._status.show(_status_line(sent))
-            if then is not None and is_last:
-                then()
+    def _take_upload(self, file: viser.UploadedFile) -> None:
+        """Choose an uploaded file, with those expected before it."""
+        with self._putting:
+            path = save_upload(file)
+            if len(self._sent) >= self._expected:
+                self.expect(1)
+            self._sent[file.name] = path
+            self.text = _text_of([Path(name) for name in self._sent])
+            n_sent, expected = len(self._sent), self._expected
+        sent = f"{file.name} was sent and is chosen." if expected == 1 else f"{n_sent} of {expected} files were sent."
+        self._tell(sent)
+        if n_sent == expected:
+            self.changed()
 
     def _refuse_upload(self, name: str) -> None:
         most = f"{MOST_UPLOAD_BYTES / 1e6:.0f} MB"
-        text = f"{name} has more than {most}: copy it to this computer's data folder and choose it in the list."
-        self._status.show(Markup('<div class="wv-note fault">{}</div>').format(text))
+        self._tell_fault(
+            f"{name} has more than {most}: copy it to this computer's data folder and choose it in the list."
+        )
 
     # --- where to look
 
@@ -228,69 +251,59 @@ class FileList:
         request.add_done_callback(lambda done: self._came(listing_id, done))
 
     def _came(self, listing_id: int, done: Future[Listing]) -> None:
-        if listing_id != self._listing_id or self._dialog.modal.closed or done.cancelled():
+        if not self._is_awaited(listing_id) or done.cancelled():
             return
         if (fault := done.exception()) is not None:
             if not isinstance(fault, WaferViewerError):
                 raise fault
-            self._status.show(Markup('<div class="wv-note fault">{}</div>').format(str(fault)))
+            self._tell_fault(str(fault))
             return
         listing = done.result()
         self._folder, self._shown = listing.folder, listing
         if not self._typing:
             self._base = listing.folder
-        self._places.show(_places(listing, self._browsing.roots, self._recent_shown(listing)))
-        self._list.show(_list(listing, listing_id, self._order, self.kind, self._rows))
-        self._status.show(_status_line(_summary(listing, self.kind, self._saving)))
+        self._places = _places(listing, self._browsing.roots, () if self._saving else listing.recent)
+        self._list = _list(listing, listing_id, self._order, self.kind, self._rows)
+        self._looks = Markup()
+        self._tell(_summary(listing, self.kind, self._saving))
         self._ask_looks(listing_id, listing)
 
-    def _recent_shown(self, listing: Listing) -> tuple[Path, ...]:
-        return () if self._saving else listing.recent
+    def _is_awaited(self, listing_id: int) -> bool:
+        return listing_id == self._listing_id and not self.modal.closed
 
     def _ask_looks(self, listing_id: int, listing: Listing) -> None:
         """Request the previews; they arrive in batches as a style sheet, without a change of the list."""
         rules: list[str] = []
         previewed = [(n, e) for n, e in enumerate(listing.entries) if _has_look(e)][:MOST_LOOKS]
-        self._looks.show("")
 
-        def came(n: int, last: bool, done: Future[bytes]) -> None:
-            if (
-                listing_id != self._listing_id
-                or self._dialog.modal.closed
-                or done.cancelled()
-                or done.exception() is not None
-            ):
+        def came(n: int, done: Future[bytes]) -> None:
+            if not self._is_awaited(listing_id) or done.cancelled() or done.exception() is not None:
                 return
             if jpeg := done.result():
                 url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
                 row = f'.wv-files [data-n="{n}"] .wv-file-look'
                 rules.append(f"{row}{{background-image:url({url})}}{row} .wv-i{{display:none}}")
-            if rules and (last or len(rules) % LOOKS_AT_ONCE == 0):
-                self._looks.show(html.style_sheet("".join(rules)))
+            if rules and (n == previewed[-1][0] or len(rules) % LOOKS_AT_ONCE == 0):
+                self._looks = html.style_sheet("".join(rules))
+                self.redraw()
 
         for n, entry in previewed:
-            future = self._browsing.look(entry.path)
-            future.add_done_callback(lambda done, n=n: came(n, n == previewed[-1][0], done))
+            self._browsing.look(entry.path).add_done_callback(lambda done, n=n: came(n, done))
+
+    def _tell(self, text: str) -> None:
+        self._status = Markup('<div class="wv-lab wv-file-told">{}</div>').format(text)
+        self.redraw()
+
+    def _tell_fault(self, text: str) -> None:
+        self._status = Markup('<div class="wv-note fault">{}</div>').format(text)
+        self.redraw()
 
     # --- what a person does
 
-    def _listen(self) -> None:
-        page, failed = self._page, "The folder is not shown"
-        self._default = self.field.value
-        self.field.on_update(guarded(page, failed)(self._typed))
-        page.on_pick("file-mark", self._mark)
-        page.on_pick("file-open", self._open)
-        page.on_pick("file-go", lambda path: self._go_and_leave(Path(path)))
-        page.on_pick("file-recent", self._take_recent)
-        page.on_pick("file-parent", lambda _: self._to_parent())
-        page.on_pick("file-order", self._sort)
-        page.on_pick("file-more", lambda _: self._more())
-        page.on_pick("file-too-large", self._refuse_upload)
-
-    def _typed(self, event: Any) -> None:
+    def _typed(self, text: str) -> None:
         """Follow the typed path: list its folder, filtered by the beginning of the last part."""
-        text = str(event.target.value)
-        if event.client is None or text.startswith(('"', "'")) or text in self._sent:
+        self.choose(text)
+        if text.startswith(('"', "'")) or text in self._sent:
             return
         folder, _, name = text.strip().rpartition(os.sep)
         if self._saving and not folder:
@@ -305,7 +318,7 @@ class FileList:
         if not beginning:
             return self._base
         try:
-            path = self._browsing.existing(beginning, self._base)
+            path = self.existing(beginning)
         except DatasetError:
             return None
         return path if path.is_dir() else None
@@ -320,13 +333,12 @@ class FileList:
     def _mark(self, key: str) -> None:
         chosen = self._entries(key)
         if self._saving:
-            chosen = [entry for entry in chosen if not entry.is_folder]
-            if chosen:
-                self.field.value = chosen[0].path.name
+            if names := [entry.path.name for entry in chosen if not entry.is_folder]:
+                self.choose(names[0])
             return
         if chosen:
-            self.field.value = _text_of([entry.path for entry in chosen])
-        self._status.show(_status_line(_chosen(chosen)))
+            self.choose(_text_of([entry.path for entry in chosen]))
+        self._tell(_chosen(chosen))
 
     def _open(self, key: str) -> None:
         for entry in self._entries(key)[:1]:
@@ -334,19 +346,19 @@ class FileList:
                 self._go_and_leave(entry.path)
                 return
             self._mark(key)
-            self._on_open()
+            self.opened()
 
     def _go_and_leave(self, folder: Path) -> None:
         """Go to a folder and clear the choice; if folders can be chosen, choose this one."""
         if not self._saving:
-            self.field.value = str(folder) if self.kind.takes_folder else ""
+            self.choose(str(folder) if self.kind.takes_folder else "")
         self.go(folder)
 
     def _take_recent(self, path: str) -> None:
-        self.field.value = path
+        self.choose(path)
         self.go(Path(path).parent)
 
-    def _to_parent(self) -> None:
+    def _to_parent(self, _: str) -> None:
         if self._shown is not None and self._shown.parent is not None:
             self._go_and_leave(self._shown.parent)
 
@@ -354,7 +366,7 @@ class FileList:
         self._order = next((option for option in get_args(Order) if option == order), "date")
         self.go(self._folder, self._prefix, typing=self._typing)
 
-    def _more(self) -> None:
+    def _more(self, _: str) -> None:
         self._limit = min(self._limit + PAGE, MOST_SHOWN)
         self.go(self._folder, self._prefix, typing=self._typing)
 
@@ -482,7 +494,3 @@ def _chosen(entries: list[FileEntry]) -> str:
     if len(entries) > 1:
         return f"{len(entries)} chosen."
     return f"{entries[0].note} chosen." if entries and entries[0].is_folder and entries[0].note else ""
-
-
-def _status_line(text: str) -> Markup:
-    return Markup('<div class="wv-lab wv-file-told">{}</div>').format(text)
