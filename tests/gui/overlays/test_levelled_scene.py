@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,10 +15,12 @@ from tests.gui.scenes.test_scene_view import settled, until
 from tests.support.page_stand_in import MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.support.stage_props import Browser
 from wafer_viewer.draw.surface.display_style import DisplayStyle
-from wafer_viewer.gui.overlays.hud import ReadOutBox
+from wafer_viewer.gui.elements.step import Here
+from wafer_viewer.gui.overlays.hud import Clicked, click_surface, read_out
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.ask import Answer
 from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
@@ -146,34 +148,34 @@ def test_a_print_gets_more_pixels_than_the_screen(browser: Browser, scene: Scene
     assert scene.settle(None, 30.0)
 
 
+def text_of_read_out(view: View, clicked_with: View, **session: Any) -> str:
+    """Text of the read-out after a click; what takes its time is over at once."""
+
+    def ask(name: str, stamp: object, compute: Callable[[], Any], failed: str) -> Answer[Any]:
+        return Answer(compute())
+
+    page = SimpleNamespace(view=clicked_with, session=SimpleNamespace(snapshot=SNAPSHOT, **session), answers=ask)
+    page.redraw = lambda: None
+    here: Any = Here(page, Clicked())  # pyright: ignore[reportArgumentType]
+    click_surface(here, 100.0, 30.0)
+    here.view = view
+    shown = read_out(here)
+    return "" if shown is None else shown.elements[0].content
+
+
 def test_the_read_out_is_over_the_chosen_zero_and_says_so() -> None:
-    shown: list[str] = []
     view = View(step="surface", levelling=BY_PLANE)
-    session = SimpleNamespace(
-        read_out=lambda x, y, show: ReadOut(20.0, 0.9, Origin.MEASURED), datum=lambda *_: PLANE, snapshot=SNAPSHOT
-    )
-    page = SimpleNamespace(view=view, session=session, redraw=lambda: None)
-    box = object.__new__(ReadOutBox)
-    box._page, box._panel = page, SimpleNamespace(show=lambda text, **_: shown.append(text))  # type: ignore
-    box.at(100.0, 30.0)
-    box.show(SNAPSHOT, view)
-    assert "+10.00" in shown[-1]
-    assert "over its plane" in shown[-1]
-    box.show(SNAPSHOT, dataclasses.replace(view, levelling=Levelling()))
-    assert shown[-1] == ""
+    read = {"read_out": lambda x, y, show: ReadOut(20.0, 0.9, Origin.MEASURED), "datum": lambda *_: PLANE}
+    text = text_of_read_out(view, view, **read)
+    assert "+10.00" in text
+    assert "over its plane" in text
+    assert text_of_read_out(dataclasses.replace(view, levelling=Levelling()), view, **read) == ""
 
 
 def test_the_read_out_says_how_sure_the_height_is_where_that_is_known() -> None:
     known, unknown = ReadOut(20.0, 0.9, Origin.MEASURED, 0.125), ReadOut(20.0, 0.9, Origin.MEASURED)
-    shown: list[str] = []
     view = View(step="surface")
-    for read in (known, unknown):
-        session = SimpleNamespace(read_out=lambda *_, read=read: read, snapshot=SNAPSHOT)
-        page = SimpleNamespace(view=view, session=session, redraw=lambda: None)
-        box = object.__new__(ReadOutBox)
-        box._page, box._panel = page, SimpleNamespace(show=lambda text, **_: shown.append(text))  # type: ignore
-        box.at(100.0, 30.0)
-        box.show(SNAPSHOT, view)
+    shown = [text_of_read_out(view, view, read_out=lambda *_, read=read: read) for read in (known, unknown)]
     assert "+20.00 ± 0.25" in shown[0]
     assert "k = 2" in shown[0]
     assert "±" not in shown[1]

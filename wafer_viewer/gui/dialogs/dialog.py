@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import viser
 from markupsafe import Markup
@@ -26,7 +26,6 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.spec import Spec, settings_of
 from wafer_viewer.session.state.snapshot import Fault, Snapshot
 
-D = TypeVar("D", bound="Dialog[Any]")
 WAIT_S = 20.0
 """Longest time to await a session command whose error a dialog shows."""
 REASON = "Reason, recorded in the log"
@@ -37,7 +36,7 @@ class KeepOpen(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer(Generic[D]):
+class Answer:
     """Confirming button of a dialog.
 
     act: gets the dialog; the dialog stays open and shows an error that it raises, and closes otherwise. A session
@@ -47,7 +46,7 @@ class Answer(Generic[D]):
 
     label: str
     icon: Any
-    act: Callable[[D], Any]
+    act: Callable[[Any], Any]
     failed: str
     commands: bool = True
     away: str = "Cancel"
@@ -83,7 +82,7 @@ class Dialog(Here[C]):
         page: Page,
         title: str,
         below: str,
-        answer: Answer[Any] | None,
+        answer: Answer | None,
         own: C = None,
         contents: Callable[[Any], Elements] = fields_of,
         picks: dict[str, Callable[[Any, str], Any]] | MappingProxyType[str, Any] = MappingProxyType({}),
@@ -116,7 +115,7 @@ class Dialog(Here[C]):
             contents = self._contents(self)
             self._mount.show([Html(below), *contents, Html(fault if self._problem else ""), foot])
 
-    def button(self, answer: Answer[Any]) -> Button:
+    def button(self, answer: Answer) -> Button:
         """Return the confirming button as it is now."""
         return Button(answer.label, self._act, answer.icon, "leading", commands=answer.commands, failed=answer.failed)
 
@@ -165,12 +164,12 @@ class Dialog(Here[C]):
         return outcome
 
 
-def ask(page: Page, title: str, below: str, answer: Answer[Dialog[None]]) -> None:
+def ask(page: Page, title: str, below: str, answer: Answer) -> None:
     """Ask before something is done."""
     Dialog(page, title, below, answer, None)
 
 
-def ask_text(page: Page, title: str, below: str, field: tuple[str, str, str], answer: Answer[Dialog[str]]) -> None:
+def ask_text(page: Page, title: str, below: str, field: tuple[str, str, str], answer: Answer) -> None:
     """Ask for a line of text, which the dialog holds. field: label, first value and tooltip."""
     label, value, hint = field
     Dialog(page, title, below, answer, value, lambda here: [Text(label, here.own, here.hold, hint)])
@@ -178,7 +177,7 @@ def ask_text(page: Page, title: str, below: str, field: tuple[str, str, str], an
 
 def ask_name(page: Page, title: str, below: str, old: str, rename: Callable[[str], Any]) -> None:
     """Ask for another name of something."""
-    answer = Answer[Any]("Rename", viser.Icon.PENCIL, lambda here: rename(here.own), "The name was not changed")
+    answer = Answer("Rename", viser.Icon.PENCIL, lambda here: rename(here.own), "The name was not changed")
     ask_text(page, title, below, ("Name", old, "Name in lists, exports and reports"), answer)
 
 

@@ -73,7 +73,7 @@ class FileDialog(Dialog[C]):
         page: Page,
         title: str,
         below: str,
-        answer: Answer[Any],
+        answer: Answer,
         kind: KindName,
         own: C = None,
         contents: Callable[[Any], Elements] | None = None,

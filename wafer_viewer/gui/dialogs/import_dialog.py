@@ -242,7 +242,7 @@ class ImportDialog(FileDialog[_Form]):
             contents, out, words.command_line(sources, options, reading, out, is_tiled=contents.is_tiled)
         )
 
-    def button(self, answer: Answer[Any]) -> Button:
+    def button(self, answer: Answer) -> Button:
         """Return the confirming button, which names a gap and is off while something has to be settled."""
         label = words.button_words(self._found, self.own.options)
         off = self._is_current and bool(words.why_not(self._found))

@@ -147,7 +147,7 @@ def save_dialog(
 def load_plan_dialog(page: Page) -> None:
     """Open the dialog that loads a plan from its file."""
     below, failed = "A file PLAN.toml, as Save plan… writes it.", "The plan was not loaded"
-    answer = Answer[Any]("Load", ICON.FOLDER_OPEN, lambda here: page.session.load_plan(here.path()), failed)
+    answer = Answer("Load", ICON.FOLDER_OPEN, lambda here: page.session.load_plan(here.path()), failed)
     FileDialog(page, "Load a plan", below, answer, "plan")
 
 

@@ -50,18 +50,20 @@ class Mount:
     """The widgets of a panel.
 
     An element that stands at the same place, or has the same key, gets the widget that it had; that of an element
-    which is missing is hidden until it returns. Only what differs is sent.
+    which is missing is hidden until it returns. Only what differs is sent. They lie in a folder of their own, or in a
+    `container` such as a dialog, whose owner shows and hides it.
     """
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, failed: str, container: Any = None) -> None:
         self._gui, self._page, self._failed = gui, page, failed
         self._folder = container or gui.add_folder(None, visible=False)
+        self._hides = container is None
         self._widgets: dict[Path, Widget] = {}
         self._folds: dict[Path, Any] = {}
 
     def show(self, elements: el.Elements | None) -> None:
         """Show the elements; None hides the panel and leaves its widgets as they are."""
-        if hasattr(self._folder, "visible"):
+        if self._hides:
             set_prop(self._folder, "visible", elements is not None)
         if elements is None:
             return

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from wafer_viewer.gui.elements.elements import Elements
+from markupsafe import Markup
+
+from wafer_viewer.gui.elements.elements import Elements, Html
 from wafer_viewer.gui.elements.mount import Mount
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import BottomPanel
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets.ask import Ask
+from wafer_viewer.gui.widgets.controls import set_prop
 from wafer_viewer.model.spec import replace, with_field
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -98,3 +102,67 @@ class StepDock(StepPanel[C]):
         """Show the step as it is now, if its curve is shown."""
         if self._below.show(view):
             super().show(snapshot, view)
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """Elements over the scene, in CSS pixels; negative x, y count from the right and the bottom edge of the scene."""
+
+    elements: Elements
+    x_px: int
+    y_px: int
+    width_px: int
+    height_px: int
+
+    @classmethod
+    def of(
+        cls,
+        content: Markup,
+        x_px: int,
+        y_px: int,
+        width_px: int,
+        height_px: int,
+        look: str = "",
+        *,
+        at_right: bool = False,
+    ) -> Overlay | None:
+        """Return HTML over the scene, at the right of its place if told so; None for empty content."""
+        right = "display:flex;justify-content:flex-end" if at_right else ""
+        framed = Markup('<div class="wv-ov {}" style="{}">{}</div>').format(look, right, content)
+        return cls([Html(framed, padded=False)], x_px, y_px, width_px, height_px) if content else None
+
+
+CLIPPED_PX = 18
+"""Extra height of a floating panel, without which viser clips its content at the bottom."""
+
+
+class StepOverlay(Generic[C]):
+    """Part of the page that floats over the scene."""
+
+    def __init__(
+        self,
+        page: Page,
+        overlay: Callable[[Here[C]], Overlay | None],
+        own: C = None,
+        picks: Picks[C] = MappingProxyType({}),
+        failed: str = "",
+    ) -> None:
+        self.here = Here(page, own)
+        self._overlay = overlay
+        self._panel = page.gui.add_panel(visible=False)
+        self._mount = Mount(page.gui, page, failed, self._panel.add_tab("·"))
+        self._place = (0, 0, 0, 0)
+        for name, act in picks.items():
+            page.on_pick(name, partial(act, self.here))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the overlay as it is now."""
+        self.here.snapshot, self.here.view = snapshot, view
+        shown = self._overlay(self.here)
+        if shown is not None:
+            place = x, y, width, height = shown.x_px, shown.y_px, shown.width_px, shown.height_px
+            if place != self._place:
+                self._place = place
+                self._panel.float(x=x, y=y, width=width, height=height + CLIPPED_PX)
+        self._mount.show(shown.elements if shown is not None else ())
+        set_prop(self._panel, "visible", shown is not None)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
-from typing import Any, Generic, Literal
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -14,7 +12,7 @@ from markupsafe import Markup, escape
 from wafer_viewer.draw.charts.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
 from wafer_viewer.draw.number_format import length_text, number, round_length, with_unit
 from wafer_viewer.draw.surface.display_style import QUANTITIES
-from wafer_viewer.gui.elements.step import C, Here, Picks
+from wafer_viewer.gui.elements.step import C, Here, Overlay
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.scene.surface_tiles import OWN_COLOURS
@@ -23,7 +21,6 @@ from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import ColourBy, View
 from wafer_viewer.gui.tools.region_tools import in_scene
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import FloatingPanel, HtmlBlock, set_prop
 from wafer_viewer.model.measurement.tool_options import LevelBy
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
@@ -38,6 +35,8 @@ SHORT_NAME = 24
 BAR_PX = 150
 """Largest length of the scale bar."""
 READ_OUT_PX = 60
+Scale = Callable[[], float]
+"""Returns the length of a pixel at the look-at point, um; 0 before it is known."""
 OVER: dict[LevelBy, str] = {
     "stage": "",
     "three points": "over three points",
@@ -53,72 +52,64 @@ ONE_ROW_PX = 780
 SECOND_ROW_PX = EDGE_PX + 52
 
 
-class Legend:
-    """Legend of the plan's lines, top right; in Acquire position of the current frame."""
-
-    def __init__(self, page: Page) -> None:
-        self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
-        self._viewport = page.viewport
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the legend."""
-        content, y_px = "", EDGE_PX
-        if view.step == "plan" and not view.live and snapshot.draft.job is not None:
-            content = _plan_legend(snapshot)
-            if 0 < self._viewport.width_px < ONE_ROW_PX:
-                y_px = SECOND_ROW_PX
-        elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
-            content = _frame_place(snapshot.scan, snapshot)
-        self._panel.show(content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content), y_px)
+def legend(here: Here[None]) -> Overlay | None:
+    """Return the legend of the plan's lines, top right; in Acquire the position of the current frame."""
+    snapshot, view, content, y_px = here.snapshot, here.view, Markup(), EDGE_PX
+    if view.step == "plan" and not view.live and snapshot.draft.job is not None:
+        content = _plan_legend(snapshot)
+        if 0 < here.page.viewport.width_px < ONE_ROW_PX:
+            y_px = SECOND_ROW_PX
+    elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
+        content = _frame_place(snapshot.scan, snapshot)
+    content = content and Markup('<div class="wv-glass wv-legend-card">{}</div>').format(content)
+    return Overlay.of(content, -EDGE_PX, y_px, 340, 44, at_right=True)
 
 
-class ScaleBar:
-    """Scale bar, bottom left: a round length at the look-at point, and the z exaggeration."""
-
-    def __init__(self, page: Page, scene: Any) -> None:
-        self._scene, self._viewport = scene, page.viewport
-        self._panel = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the scale bar."""
-        um_per_pixel = self._scene.um_per_pixel()
-        y_px = -(EDGE_PX + bottom_panel_height_px(view))
-        narrow = self._viewport.width_px < NARROW_SCENE_PX
-        drawn = _drawn(snapshot, in_scene(view), narrow)
-        visible = um_per_pixel and not view.at_bench and view.sheet_over == "none"
-        self._panel.show(_scale_bar(um_per_pixel, drawn) if visible else "", y_px=y_px)
+def scale_bar(here: Here[Scale]) -> Overlay | None:
+    """Return the scale bar, bottom left: a round length at the look-at point, and the z exaggeration."""
+    view, um_per_pixel = here.view, here.own()
+    if not um_per_pixel or view.at_bench or view.sheet_over != "none":
+        return None
+    narrow = here.page.viewport.width_px < NARROW_SCENE_PX
+    content = _scale_bar(um_per_pixel, _drawn(here.snapshot, in_scene(view), narrow))
+    return Overlay.of(content, EDGE_PX, -(EDGE_PX + bottom_panel_height_px(view)), 500, 44)
 
 
-class ReadOutBox:
-    """Read-out, bottom right: height and confidence at the clicked position, and a link to the focus evidence."""
+@dataclass(frozen=True, slots=True)
+class Clicked:
+    """Clicked place of a surface, um."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._panel = FloatingPanel(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
-        self._text = Markup()
-        self._shown_for: object = None
+    place_um: tuple[float, float] | None = None
+    surface: object = None
 
-    def at(self, x_um: float, y_um: float) -> None:
-        """Read the surface at a position. Blocks: call on a worker thread."""
-        view, session = self._page.view, self._page.session
-        read = session.read_out(x_um, y_um, view.show)
-        if read.z_um is not None and view.levelling.by != "stage":
-            zero = session.datum(view.levelling, view.show).at(np.array([x_um]), np.array([y_um]))
-            read = replace(read, z_um=read.z_um - float(zero[0]))
-        place = Markup("x <b>{}</b>&ensp;y <b>{}</b>&ensp;").format(number(x_um, 1), number(y_um, 1))
-        self._text = Markup('{}{}<br><span class="dim">{}</span>&ensp;').format(
-            place, _height(read, view), _trust(read)
-        )
-        self._shown_for = _surface(session.snapshot, view)
-        self._page.redraw()
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the last read-out as long as the surface is the same."""
-        on_surface = view.on_surface and self._shown_for == _surface(snapshot, view)
-        y_px = -(EDGE_PX + bottom_panel_height_px(view))
-        ask = Markup('<span class="wv-link" title="Key C" {}>Why this height?</span>').format(html.pick("why"))
-        shown = self._text + ("" if view.explains else ask) if on_surface else Markup()
-        self._panel.show(shown and Markup('<div class="wv-glass wv-read">{}</div>').format(shown), y_px=y_px)
+def click_surface(here: Here[Clicked], x_um: float, y_um: float) -> None:
+    """Read the surface at a place."""
+    here.hold(Clicked((x_um, y_um), _surface(here.page.session.snapshot, here.page.view)))
+
+
+def read_out(here: Here[Clicked]) -> Overlay | None:
+    """Return the read-out, bottom right: height and confidence at the clicked place, while the surface is the same."""
+    own, view = here.own, here.view
+    if own.place_um is None or not view.on_surface or own.surface != _surface(here.snapshot, view):
+        return None
+    read = here.ask("read-out", own, partial(_read, here.page, view, own.place_um), "The surface was not read")
+    text = read.value if read.value is not None else escape(read.problem)
+    link = Markup('<span class="wv-link" title="Key C" {}>Why this height?</span>').format(html.pick("why"))
+    shown = text and Markup('<div class="wv-glass wv-read">{}{}</div>').format(text, "" if view.explains else link)
+    y_px = -(EDGE_PX + bottom_panel_height_px(view))
+    return Overlay.of(shown, -EDGE_PX, y_px, 420, READ_OUT_PX, at_right=True)
+
+
+def _read(page: Page, view: View, place_um: tuple[float, float]) -> Markup:
+    """Return what is known of the surface at a place."""
+    x_um, y_um = place_um
+    read = page.session.read_out(x_um, y_um, view.show)
+    if read.z_um is not None and view.levelling.by != "stage":
+        zero = page.session.datum(view.levelling, view.show).at(np.array([x_um]), np.array([y_um]))
+        read = replace(read, z_um=read.z_um - float(zero[0]))
+    place = Markup("x <b>{}</b>&ensp;y <b>{}</b>&ensp;").format(number(x_um, 1), number(y_um, 1))
+    return Markup('{}{}<br><span class="dim">{}</span>&ensp;').format(place, _height(read, view), _trust(read))
 
 
 def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
@@ -150,7 +141,7 @@ def _trust(read: ReadOut) -> str:
 
 def _plan_legend(snapshot: Snapshot) -> Markup:
     job = snapshot.draft.job
-    parts: list[str] = []
+    parts: list[Markup] = []
     if job is not None and job.grid is not None and job.grid.rows * job.grid.cols > 1:
         shade = html.swatch("color-mix(in srgb,var(--accent) 45%,transparent)", "var(--accent)")
         parts.append(Markup("<span>{} overlap {} %</span>").format(shade, number(100 * job.grid.overlap_x_fraction, 0)))
@@ -194,8 +185,6 @@ def _scale_bar(um_per_pixel: float, label: str) -> Markup:
 
 FIRST_PX = 892, 640
 """Initial size, until the browser reports the size of its scene."""
-BORDER_PX = 18
-"""Extra height of the panel, without which viser clips its content at the bottom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,38 +199,15 @@ Sheet = Callable[[Here[C], SheetRoom], tuple[Markup, int] | None]
 """Content and height in CSS pixels of what lies over the scene; None for nothing."""
 
 
-class StepSheet(Generic[C]):
-    """Sheet of a step over the scene; the page is redrawn when the size of the scene changes."""
-
-    def __init__(self, page: Page, sheet: Sheet[C], own: C, picks: Picks[C] = MappingProxyType({})) -> None:
-        self.here = Here(page, own)
-        self._sheet = sheet
-        self._panel = page.gui.add_panel(visible=False)
-        with self._panel.add_tab("·"):
-            self._cell = HtmlBlock(page.gui, padded=False)
-        self._place = (0, 0)
-        self._size = FIRST_PX
-        page.viewport.on_change(lambda: self._follow(page.viewport.width_px, page.viewport.height_px))
-        for name, act in picks.items():
-            page.on_pick(name, partial(act, self.here))
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the sheet as it is now."""
-        self.here.snapshot, self.here.view = snapshot, view
-        width, height = self._size
-        room = SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
-        shown = self._sheet(self.here, room)
-        if shown is not None and (room.width_px, shown[1]) != self._place:
-            self._place = room.width_px, shown[1]
-            self._panel.float(x=EDGE_PX, y=EDGE_PX, width=self._place[0], height=shown[1] + BORDER_PX)
-        frame = Markup('<div class="wv-ov wv-over"><div class="wv-sheet-over">{}</div></div>')
-        self._cell.show(frame.format(shown[0]) if shown is not None else "")
-        set_prop(self._panel, "visible", shown is not None)
-
-    def _follow(self, width_px: int, height_px: int) -> None:
-        if (width_px, height_px) != self._size and width_px > 0 and height_px > 0:
-            self._size = width_px, height_px
-            self.here.page.redraw()
+def sheet_over(sheet: Sheet[C], here: Here[C]) -> Overlay | None:
+    """Return a sheet of a step over the scene, as wide as that."""
+    viewport = here.page.viewport
+    width, height = viewport.width_px or FIRST_PX[0], viewport.height_px or FIRST_PX[1]
+    room = SheetRoom(max(360, width - 2 * EDGE_PX), max(240, height - 2 * EDGE_PX))
+    if (shown := sheet(here, room)) is None:
+        return None
+    content = Markup('<div class="wv-sheet-over">{}</div>').format(shown[0])
+    return Overlay.of(content, EDGE_PX, EDGE_PX, room.width_px, shown[1], "wv-over")
 
 
 # -------------------------------------------------------------------------------------------------------------- legends
@@ -257,39 +223,35 @@ ELSEWHERE_TEXTS: dict[str, str] = {"overlap": "one field only", "uncertainty": "
 SIGNED = ("height", "deviation", "form", "difference")
 
 
-class ColourLegend:
-    """Colour bar over the scene, as high as the scene allows."""
-
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
-        self._of_origins = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the legend."""
-        shown = view.on_surface and view.step != "gauge" and view.sheet_over == "none"
-        scale = self._page.scale if shown else None
-        of_origins = scale is not None and scale.quantity == "origin"
-        bar_px = self._bar_px()
-        bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""
-        self._panel.show(_card(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2 + _foot_px(scale))
-        origins = scale.origins if scale is not None and of_origins else {}
-        rows = sum(share > 0 for share in origins.values())
-        self._of_origins.show(_card(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
-
-    def _bar_px(self) -> int:
-        room = self._page.viewport.height_px - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
-        return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
+def colour_legend(here: Here[None]) -> Overlay | None:
+    """Return the colour bar over the scene, as high as the scene allows."""
+    scale, view, page = _scale_shown(here), here.view, here.page
+    if scale is None or scale.quantity == "origin":
+        return None
+    room = page.viewport.height_px - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
+    bar_px = min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
+    content, height_px = _card(_bar(scale, view, page.coloured_by(view), bar_px)), bar_px + HEAD_AND_FOOT_PX + 2
+    return Overlay.of(content, -EDGE_PX, EDGE_PX, WIDTH_PX, height_px + _foot_px(scale))
 
 
-def _foot_px(scale: ColourScale | None) -> int:
+def origin_legend(here: Here[None]) -> Overlay | None:
+    """Return the legend of the reasons why pixels are unmeasured."""
+    scale = _scale_shown(here)
+    rows = sum(share > 0 for share in scale.origins.values()) if scale is not None else 0
+    if scale is None or scale.quantity != "origin" or not rows:
+        return None
+    height_px = ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
+    return Overlay.of(_card(origin_legend_html(scale.origins)), -EDGE_PX, EDGE_PX, 236, height_px, at_right=True)
+
+
+def _scale_shown(here: Here[None]) -> ColourScale | None:
+    view = here.view
+    return here.page.scale if view.on_surface and view.step != "gauge" and view.sheet_over == "none" else None
+
+
+def _foot_px(scale: ColourScale) -> int:
     """Return the height of the line that explains grey; 0 if it is not shown."""
-    return LINE_PX if scale is not None and scale.quantity in ELSEWHERE_TEXTS else 0
-
-
-def _origins_px(rows: int) -> int:
-    """Return the height of a legend with `rows` origins."""
-    return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
+    return LINE_PX if scale.quantity in ELSEWHERE_TEXTS else 0
 
 
 def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> Markup:
@@ -308,8 +270,8 @@ def _bar(scale: ColourScale, view: View, quantity: ColourBy, bar_px: int) -> Mar
     )
 
 
-def _card(content: Markup | Literal[""]) -> Markup:
-    return Markup('<div class="wv-glass">{}</div>').format(content) if content else Markup()
+def _card(content: Markup) -> Markup:
+    return Markup('<div class="wv-glass">{}</div>').format(content)
 
 
 POSE_LEGEND_PX, ROW_PX, EDGES_PX = 580, 21, 15
@@ -332,41 +294,38 @@ _SIGNS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
 class PoseLegend:
-    """Legend that is visible while the fields are shown."""
+    """Legend of the solved places of fields, and what it was made from."""
 
-    def __init__(self, page: Page, poses: PoseCache, um_per_pixel: Callable[[], float]) -> None:
-        self._poses, self._um_per_pixel = poses, um_per_pixel
-        self._panel = FloatingPanel(page.gui, EDGE_PX, -EDGE_PX - ABOVE_SCALE_PX, POSE_LEGEND_PX, ROW_PX)
-        self._cached: CachedPoses | None = None
-        self._fields: Fields | None = None
-        self._rows: list[tuple[str, str]] = []
+    poses: PoseCache
+    um_per_pixel: Scale
+    cached: CachedPoses | None = None
+    fields: Fields | None = None
+    rows: tuple[tuple[str, str], ...] = ()
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the legend."""
-        fields = self._on_show(snapshot, view)
-        rows = self._visible_rows(fields) if fields is not None else []
-        lines = Markup("").join(
-            Markup("<div>{}<span>{}</span></div>").format(_sign(kind, view.dark), words) for kind, words in rows
-        )
-        down = f"grid-template-rows:repeat({-(-len(rows) // 2)},18px)"
-        content = Markup('<div class="wv-glass wv-lines" style="{}">{}</div>').format(down, lines) if rows else Markup()
-        self._panel.show(content, height_px=ROW_PX * max(1, -(-len(rows) // 2)) + EDGES_PX)
 
-    def _visible_rows(self, fields: Fields) -> list[tuple[str, str]]:
-        """Return the visible rows: stitches are drawn only at close range."""
-        near = STITCH * fields.unit_um >= LEAST_STITCH_PX * self._um_per_pixel()
-        return [(kind, words) for kind, words in self._rows if near or kind != "stitch"]
-
-    def _on_show(self, snapshot: Snapshot, view: View) -> Fields | None:
-        source, data = source_of(snapshot, 0), snapshot.dataset
-        cached = self._poses.at(source) if view.shows_fields and source is not None else None
-        if cached is None or cached.poses is None or data is None:
-            return None
-        if cached is not self._cached:
-            self._cached, self._fields = cached, fields_of(cached, data)
-            self._rows = _rows(self._fields) if self._fields is not None else []
-        return self._fields
+def pose_legend(here: Here[PoseLegend]) -> Overlay | None:
+    """Return the legend that is visible while the fields are shown; stitches are drawn only at close range."""
+    source, data, view = source_of(here.snapshot, 0), here.snapshot.dataset, here.view
+    cached = here.own.poses.at(source) if view.shows_fields and source is not None else None
+    if cached is None or cached.poses is None or data is None:
+        return None
+    if cached is not here.own.cached:
+        fields = fields_of(cached, data)
+        here.own = replace(here.own, cached=cached, fields=fields, rows=_rows(fields) if fields is not None else ())
+    if (fields := here.own.fields) is None:
+        return None
+    near = STITCH * fields.unit_um >= LEAST_STITCH_PX * here.own.um_per_pixel()
+    rows = [(kind, words) for kind, words in here.own.rows if near or kind != "stitch"]
+    n_lines = max(1, -(-len(rows) // 2))
+    lines = Markup("").join(
+        Markup("<div>{}<span>{}</span></div>").format(_sign(kind, view.dark), words) for kind, words in rows
+    )
+    down = f"grid-template-rows:repeat({n_lines},18px)"
+    content = Markup('<div class="wv-glass wv-lines" style="{}">{}</div>').format(down, lines) if rows else Markup()
+    y_px = -EDGE_PX - ABOVE_SCALE_PX
+    return Overlay.of(content, EDGE_PX, y_px, POSE_LEGEND_PX, ROW_PX * n_lines + EDGES_PX)
 
 
 def fields_of(cached: CachedPoses, data: OpenDataset) -> Fields | None:
@@ -376,7 +335,7 @@ def fields_of(cached: CachedPoses, data: OpenDataset) -> Fields | None:
     return Fields(cached.poses, data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
 
 
-def _rows(fields: Fields) -> list[tuple[str, str]]:
+def _rows(fields: Fields) -> tuple[tuple[str, str], ...]:
     """Return symbol and text of what is drawn, least conspicuous first."""
     many = f" (every {number(fields.every, 0)}th)" if fields.every > 1 else ""
     rows = [
@@ -396,7 +355,7 @@ def _rows(fields: Fields) -> list[tuple[str, str]]:
         "doubt": len(fields.doubted(blank=False)),
         "out": len(fields.left_out()),
     }
-    return [(kind, words) for kind, words in rows if present.get(kind, 1)]
+    return tuple((kind, words) for kind, words in rows if present.get(kind, 1))
 
 
 def _sign(kind: str, dark: bool) -> Markup:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.surface.display_style import QUANTITIES
+from wafer_viewer.gui.elements.step import Here, Overlay
 from wafer_viewer.gui.overlays.hud import EDGE_PX, SIGNED
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import surface_not_shown
@@ -20,7 +21,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.tool_palette import GAP, tool_strip
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
-from wafer_viewer.gui.widgets.controls import Command, FloatingPanel, with_precondition
+from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -148,43 +149,34 @@ _SIDE_TOOLS_PX = 124 + 2 * EDGE_PX + 8
 """Width reserved for the colour bar: in a narrow scene the tools take two rows."""
 
 
-class Toolbar:
-    """Toolbar of camera views and tools; views have labels unless the tools need the space."""
-
-    def __init__(self, page: Page) -> None:
-        self._panel = FloatingPanel(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
-        self._viewport = page.viewport
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the toolbar."""
-        if view.sheet_over != "none" or view.at_bench:  # what lies over the scene would lie over the tools
-            self._panel.show("")
-            return
-        measuring = view.step == "measure"
-        scene_px = self._viewport.width_px
-        short = measuring or 0 < scene_px < NARROW_SCENE_PX
-        looks = Markup("").join(_preset(*preset, short=short) for preset in WAYS_TO_LOOK)
-        parts = tool_strip(view.tool, scene_px >= NAMED_SCENE_PX) + GAP + looks if measuring else looks
-        if view.step == "surface":
-            parts += GAP + _select(view.selecting)
-        if view.step == "plan":
-            parts = sample_or_live(live=False) + GAP + parts
-        if view.reviews_defect:
-            ways = (("beside", "Pictures", viser.Icon.LAYOUT_COLUMNS, False), ("none", "3D", viser.Icon.CUBE, True))
-            parts = _ways("sheet", ways, " · Z") + GAP + parts
-        if view.step == "gauge":
-            parts = blocks_or_instrument(view.instrument) + GAP + parts
-        two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX
-        room = (
-            Markup(' style="flex-wrap:wrap;max-width:{}px"').format(scene_px - _SIDE_TOOLS_PX - EDGE_PX)
-            if two_rows
-            else Markup()
-        )
-        content = Markup('<div class="wv-glass wv-tools{}"{}>{}</div>').format(
-            " many" if measuring else "", room, parts
-        )
-        width_px = max(_WIDTH_PX, scene_px - _SIDE_TOOLS_PX)
-        self._panel.show(content, height_px=2 * _HEIGHT_PX if two_rows else _HEIGHT_PX, width_px=width_px)
+def toolbar(here: Here[None]) -> Overlay | None:
+    """Return the toolbar of camera views and tools; views have labels unless the tools need the space."""
+    view = here.view
+    if view.sheet_over != "none" or view.at_bench:  # what lies over the scene would lie over the tools
+        return None
+    measuring = view.step == "measure"
+    scene_px = here.page.viewport.width_px
+    short = measuring or 0 < scene_px < NARROW_SCENE_PX
+    looks = Markup("").join(_preset(*preset, short=short) for preset in WAYS_TO_LOOK)
+    parts = tool_strip(view.tool, scene_px >= NAMED_SCENE_PX) + GAP + looks if measuring else looks
+    if view.step == "surface":
+        parts += GAP + _select(view.selecting)
+    if view.step == "plan":
+        parts = sample_or_live(live=False) + GAP + parts
+    if view.reviews_defect:
+        ways = (("beside", "Pictures", viser.Icon.LAYOUT_COLUMNS, False), ("none", "3D", viser.Icon.CUBE, True))
+        parts = _ways("sheet", ways, " · Z") + GAP + parts
+    if view.step == "gauge":
+        parts = blocks_or_instrument(view.instrument) + GAP + parts
+    two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX
+    room = (
+        Markup(' style="flex-wrap:wrap;max-width:{}px"').format(scene_px - _SIDE_TOOLS_PX - EDGE_PX)
+        if two_rows
+        else Markup()
+    )
+    content = Markup('<div class="wv-glass wv-tools{}"{}>{}</div>').format(" many" if measuring else "", room, parts)
+    width_px, height_px = max(_WIDTH_PX, scene_px - _SIDE_TOOLS_PX), 2 * _HEIGHT_PX if two_rows else _HEIGHT_PX
+    return Overlay.of(content, EDGE_PX, EDGE_PX, width_px, height_px)
 
 
 def _preset(key: str, name: str, hint: str, sign: Any, short: bool) -> Markup:

@@ -18,11 +18,22 @@ from markupsafe import Markup
 
 from wafer_viewer.gui.dialogs.control_handover import CONTROL_PICKS, NOT_HANDED_OVER, ControlLock, control_strip
 from wafer_viewer.gui.dialogs.stop import complete_fields_sentence
-from wafer_viewer.gui.elements.step import Here, StepDock, StepPanel
+from wafer_viewer.gui.elements.step import Here, StepDock, StepOverlay, StepPanel
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
 from wafer_viewer.gui.measure.profile_dock import ProfileDock
-from wafer_viewer.gui.overlays.hud import ColourLegend, Legend, PoseLegend, ReadOutBox, ScaleBar, StepSheet
-from wafer_viewer.gui.overlays.toolbar import PrintPicture, Toolbar
+from wafer_viewer.gui.overlays.hud import (
+    Clicked,
+    PoseLegend,
+    click_surface,
+    colour_legend,
+    legend,
+    origin_legend,
+    pose_legend,
+    read_out,
+    scale_bar,
+    sheet_over,
+)
+from wafer_viewer.gui.overlays.toolbar import PrintPicture, toolbar
 from wafer_viewer.gui.page.browser_info import BrowserEvents
 from wafer_viewer.gui.page.page import Page, PagePart
 from wafer_viewer.gui.page.panels import awaited, bottom_panel_height_px
@@ -46,7 +57,7 @@ from wafer_viewer.gui.shell.shortcuts import (
 from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
 from wafer_viewer.gui.state.view_state import View, with_cursor
 from wafer_viewer.gui.steps.acquire import acquire_step
-from wafer_viewer.gui.steps.gauge.gauge_check import StepReadout, run_chart_dock
+from wafer_viewer.gui.steps.gauge.gauge_check import run_chart_dock, step_readout
 from wafer_viewer.gui.steps.gauge.gauge_step import FAILED as CHECK_FAILED
 from wafer_viewer.gui.steps.gauge.gauge_step import GAUGE_PICKS, CheckInputs, gauge_commands, gauge_step
 from wafer_viewer.gui.steps.gauge.instrument import (
@@ -82,11 +93,11 @@ from wafer_viewer.gui.steps.surface.focus_evidence import (
     explain_click,
 )
 from wafer_viewer.gui.steps.surface.heights import ShownStatistics
-from wafer_viewer.gui.steps.surface.points import PointCount, clip_box_callback
+from wafer_viewer.gui.steps.surface.points import clip_box_callback, point_count
 from wafer_viewer.gui.steps.surface.surface_step import FAILED, SURFACE_PICKS, SurfaceState, surface_step
 from wafer_viewer.gui.tools.region_tools import in_scene, take_places
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded, tell_failure
+from wafer_viewer.gui.widgets.callbacks import guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, always_mounted, looking
 from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, page_style
 from wafer_viewer.model.measurement.tool_options import Levelling
@@ -279,10 +290,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
     gauge = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS)
     report = StepPanel(page, report_step, ReportChoices(), "The report was not changed")
-    sheet = StepSheet(page, review_sheet, SheetState(review, Thumbnails(page)), SHEET_PICKS)
+    sheet = StepOverlay(page, partial(sheet_over, review_sheet), SheetState(review, Thumbnails(page)), SHEET_PICKS)
+    page.viewport.on_change(page.redraw)
     why = StepPanel(page, evidence_step, Explained(), "The explanation was not changed", EVIDENCE_PICKS)
     ear.left = left.panel
-    read_out = ReadOutBox(page)
+    clicked = StepOverlay(page, read_out, Clicked())
     parts: list[PagePart] = [
         *(
             StepFallback(page),
@@ -301,15 +313,16 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             report,
             why,
             left,
-            Toolbar(page),
-            PointCount(page),
-            Legend(page),
+            StepOverlay(page, toolbar),
+            StepOverlay(page, point_count),
+            StepOverlay(page, legend),
         ),
         *(
-            ColourLegend(page),
-            PoseLegend(page, poses, scene.um_per_pixel),
-            ScaleBar(page, scene),
-            read_out,
+            StepOverlay(page, colour_legend),
+            StepOverlay(page, origin_legend),
+            StepOverlay(page, pose_legend, PoseLegend(poses, scene.um_per_pixel)),
+            StepOverlay(page, scale_bar, scene.um_per_pixel),
+            clicked,
             ProfileDock(page, curves),
             StepDock(page, "why", evidence_dock, ChosenFrame(), "The frame was not chosen", FRAME_PICKS),
             StepDock(page, "gauge", run_chart_dock, None, CHECK_FAILED),
@@ -319,7 +332,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             StepDock(page, "live", live_dock, FIRST_ENDS_UM, "The curve is not shown", CURVE_PICKS),
             LivePicture(page),
             live,
-            StepReadout(page),
+            StepOverlay(page, step_readout),
         ),
         welcome,
         tour,
@@ -331,7 +344,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         drawing,
     ]
     _listen_to_page(page, scene, left)
-    _listen_to_scene(page, scene, read_out, why.here)
+    _listen_to_scene(page, scene, clicked.here, why.here)
     _listen_to_lines(page, scene, curves)
     with_verbs = welcome, tour
     of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here), *live_commands(page)]
@@ -384,17 +397,15 @@ def _listen_to_lines(page: Page, scene: SceneView, curves: LiveProfiles) -> None
     scene.on_cursor(guarded(page, "The cursor was not moved")(cursor_moved))
 
 
-def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Here[Explained]) -> None:
-    """Connect handles, clicks and the camera; clicks are answered on a worker thread."""
-    clicks = LatestOnlyWorker("read-out")
-    page.on_close(clicks.close)
+def _listen_to_scene(page: Page, scene: SceneView, clicked: Here[Clicked], why: Here[Explained]) -> None:
+    """Connect handles, clicks and the camera."""
     failed = "The surface was not read"
     scene.on_places(guarded(page, failed)(take_places(page)))
     scene.on_levelling(guarded(page, failed)(lambda levelling: page.change(levelling=levelling, range_um=None)))
 
     def picked(x_um: float, y_um: float) -> None:
         explain_click(why, x_um, y_um)
-        clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um))
+        click_surface(clicked, x_um, y_um)
 
     scene.on_pick(picked)
     scene.on_select(guarded(page, failed)(lambda box: page.change(selection=box, counted="selection", selecting=False)))

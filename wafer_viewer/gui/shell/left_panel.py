@@ -408,7 +408,7 @@ def hold_dialog(page: Page, *, end: bool) -> None:
     title, icon = ("End the hold", ICON.LOCK_OPEN) if end else ("Hold the frames", ICON.LOCK)
     verb = page.session.end_hold if end else page.session.hold_frames
     failed = "The hold was not ended" if end else "The frames are not held"
-    hold = Answer[Any](title, icon, lambda here: verb(here.own).result(HOLD_S), failed)
+    hold = Answer(title, icon, lambda here: verb(here.own).result(HOLD_S), failed)
     ask_text(page, title, below, ("Reason", "", REASON), hold)
 
 

@@ -65,7 +65,7 @@ class SavedViews:
         view, verb, field = page.view, page.session.notebook.save_view, "Without a name it is called by its number"
         below = "Kept with the dataset: every browser can come back to it."
         save = lambda dialog: verb(saved(view, pose, dialog.own))  # noqa: E731 - short
-        answer = Answer[Any]("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
+        answer = Answer("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
         ask_text(page, "Save view", below, ("Name", "", field), answer)
 
     def go_to(self, number: int) -> None:

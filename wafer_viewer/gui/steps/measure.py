@@ -181,7 +181,7 @@ def _title(tool: Tool) -> Markup:
     return html.title(TOOLS[tool].title, TOOLS[tool].how, others)
 
 
-def _answer(here: Here[MeasureState]) -> Answer[Any]:
+def _answer(here: Here[MeasureState]) -> Answer:
     """Return the live result of the active tool."""
     return here.own.curves.answer if here.page.view.tool == "profile" else here.ask.known(MEASUREMENT)
 

@@ -373,42 +373,6 @@ def always_mounted(gui: Gui) -> Generator[None]:
     panel.float(x=0, y=0, width=1, height=1)
 
 
-class FloatingPanel:
-    """A floating panel over the scene; negative x, y count from the right and the bottom edge of the scene."""
-
-    def __init__(
-        self, gui: Gui, x_px: int, y_px: int, width_px: int, height_px: int, align: Literal["left", "right"] = "left"
-    ) -> None:
-        self._align = align
-        self._panel = gui.add_panel(visible=False)
-        with self._panel.add_tab("·"):
-            self._cell = HtmlBlock(gui, self._framed(""), padded=False)
-        self._place = (x_px, y_px, width_px, height_px)
-        self._move()
-
-    def show(
-        self, content: str, y_px: int | None = None, height_px: int | None = None, width_px: int | None = None
-    ) -> None:
-        """Show `content`; hide the panel if it is empty."""
-        x, y, width, height = self._place
-        width, height = width if width_px is None else width_px, height if height_px is None else height_px
-        place = (x, y if y_px is None else y_px, width, height)
-        if place != self._place:
-            self._place = place
-            self._move()
-        self._cell.show(self._framed(content))
-        set_prop(self._panel, "visible", bool(content))
-
-    def _move(self) -> None:
-        x, y, width, height = self._place
-        # viser cuts a panel's content at the bottom unless the panel is 18 px higher.
-        self._panel.float(x=x, y=y, width=width, height=height + 18)
-
-    def _framed(self, content: str) -> Markup:
-        right = "display:flex;justify-content:flex-end" if self._align == "right" else ""
-        return Markup('<div class="wv-ov" style="{}">{}</div>').format(right, content)
-
-
 def _tight(handle: Any) -> str:
     """Return compact styles for an icon and a label in a third of the left panel."""
     selector = by_id(handle._impl.uuid)

@@ -12,14 +12,13 @@ from markupsafe import Markup
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
 from wafer_viewer.draw.number_format import THIN, number, value_and_u
 from wafer_viewer.gui.elements.elements import Elements, Html
-from wafer_viewer.gui.elements.step import Here, Picks
+from wafer_viewer.gui.elements.step import Here, Overlay, Picks
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.gauge import day_and_time, scene_step_label
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, RunChart
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -65,19 +64,14 @@ def run_chart_dock(here: Here[None]) -> Elements:
     return [Html(Markup('<div class="wv-below">{}</div>').format(drawn))]
 
 
-class StepReadout:
-    """Read-out of the mean of the repeats, of an earlier check, or of the live step before the first repeat."""
-
-    def __init__(self, page: Page) -> None:
-        self._answers, self._viewport = page.answers, page.viewport
-        self._panel = FloatingPanel(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the figure up to date."""
-        is_narrow = 0 < self._viewport.width_px < _BESIDE_TOOLS_PX
-        live = self._answers.known(LIVE_STEP).value
-        content = _figure(snapshot, view, live) if view.checks_blocks and not view.explains else ""
-        self._panel.show(content, y_px=EDGE_PX + _TOOLS_PX if is_narrow else EDGE_PX)
+def step_readout(here: Here[None]) -> Overlay | None:
+    """Return the mean of the repeats, an earlier check, or the live step before the first repeat, as a figure."""
+    snapshot, view = here.snapshot, here.view
+    if not view.checks_blocks or view.explains:
+        return None
+    is_narrow = 0 < here.page.viewport.width_px < _BESIDE_TOOLS_PX
+    y_px = EDGE_PX + _TOOLS_PX if is_narrow else EDGE_PX
+    return Overlay.of(_figure(snapshot, view, here.ask.known(LIVE_STEP).value), -EDGE_PX, y_px, 330, 88, at_right=True)
 
 
 def _figure(snapshot: Snapshot, view: View, live: object) -> Markup:

@@ -411,7 +411,7 @@ def excluded_dialog(page: Page, areas: Areas, keep: Callable[[Areas], None], pro
         x0, y0, x1, y1 = here.own.areas[int(key)].bounds_um
         without(here, key, start=pair_text((x0, y0), PLACE), end=pair_text((x1, y1), PLACE))
 
-    answer = Answer[Any]("Keep", viser.Icon.CHECK, lambda d: keep((*d.own.areas, *_typed_area(d.own))), STAYS)
+    answer = Answer("Keep", viser.Icon.CHECK, lambda d: keep((*d.own.areas, *_typed_area(d.own))), STAYS)
     picks = {"defect-area-change": change, "defect-area-away": without}
     Dialog(page, "Excluded areas", BELOW, answer, _Excluded((*areas, *proposed)), fields, picks)
 

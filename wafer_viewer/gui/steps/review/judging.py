@@ -170,7 +170,7 @@ class Review:
         """Open the note dialog; Enter saves the note."""
         if (item := self.item) is None:
             return
-        saves = Answer[Any]("Save the note", viser.Icon.NOTE, lambda here: self.note(item.key, here.own), NOT_NOTED)
+        saves = Answer("Save the note", viser.Icon.NOTE, lambda here: self.note(item.key, here.own), NOT_NOTED)
         title, below = f"Note on {item.sign} · {item.title}", "Saved with the judgement and shown in the report."
         ask_text(self.page, title, below, ("Note", item.judgement.note, "Enter saves, Escape cancels"), saves)
 

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.elements.elements import Button, Buttons, Html, NumberPair, Slider, Stack, Toggle
+from wafer_viewer.gui.elements.step import Here, Overlay
 from wafer_viewer.gui.overlays.hud import EDGE_PX
 from wafer_viewer.gui.overlays.hud import WIDTH_PX as LEGEND_PX
 from wafer_viewer.gui.page.page import Page
@@ -21,12 +22,10 @@ from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.clip_box import ClipBoxFaces
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import FloatingPanel
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.clipping import Box, LeftOut, Span
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.rendering.render_request import RefusedCounts, Statistics
-from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The points were not changed"
 REFUSED: tuple[tuple[bool, str], ...] = ((False, "Hide"), (True, "Show"))
@@ -248,25 +247,15 @@ _LINE_PX, _EDGES_PX, _LETTER_PX, _BELOW_TOOLBAR_PX = 18, 14, 7.2, 48
 """Pixels; _LETTER_PX: upper bound of the average width of a letter."""
 
 
-class PointCount:
-    """Overlay shown while points are drawn and counted; its width leaves space for the colour bar."""
-
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._panel = FloatingPanel(page.gui, EDGE_PX, EDGE_PX + _BELOW_TOOLBAR_PX, _MOST_PX, _LINE_PX + _EDGES_PX)
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the count up to date."""
-        statistics = self._page.statistics
-        visible = view.step in ("surface", "measure") and view.look == "points" and view.counted == "all"
-        if not visible or statistics is None or not statistics.counts:
-            self._panel.show("")
-            return
-        words = counted(statistics, self._page.drawn_points, view)
-        width_px, height_px = size_px(words, self._page.client.camera.image_width)
-        self._panel.show(
-            Markup('<div class="wv-glass wv-points">{}</div>').format(words), width_px=width_px, height_px=height_px
-        )
+def point_count(here: Here[None]) -> Overlay | None:
+    """Return the number of points while they are drawn and counted, with space for the colour bar."""
+    page, view, statistics = here.page, here.view, here.page.statistics
+    visible = view.step in ("surface", "measure") and view.look == "points" and view.counted == "all"
+    if not visible or statistics is None or not statistics.counts:
+        return None
+    words = counted(statistics, page.drawn_points, view)
+    content = Markup('<div class="wv-glass wv-points">{}</div>').format(words)
+    return Overlay.of(content, EDGE_PX, EDGE_PX + _BELOW_TOOLBAR_PX, *size_px(words, page.client.camera.image_width))
 
 
 def size_px(words: str, scene_px: int) -> tuple[int, int]:
