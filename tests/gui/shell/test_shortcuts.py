@@ -14,7 +14,7 @@ from tests.browser.sessions import fake_session as fake
 from wafer_viewer.gui.overlays.toolbar import PrintPicture
 from wafer_viewer.gui.shell.saved_views import SavedViews
 from wafer_viewer.gui.shell.shortcuts import Palette, Parts, commands_of, shortcut_table
-from wafer_viewer.gui.shell.tour_guide import Welcome
+from wafer_viewer.gui.shell.tour_guide import welcome_commands
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.steps.report import report_commands
 from wafer_viewer.gui.steps.review.defect_list import section_commands
@@ -51,7 +51,7 @@ def all_commands() -> list[Command]:
     of_steps = [*report_commands(MagicMock()), *comparison_commands(MagicMock()), *review_commands(MagicMock())]
     of_steps += [*section_commands(MagicMock()), *map_commands(MagicMock())]
     of_steps += stack_commands(MagicMock(), MagicMock())
-    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *Welcome.commands(MagicMock()), *of_steps]
+    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *welcome_commands(MagicMock()), *of_steps]
 
 
 @pytest.mark.parametrize(

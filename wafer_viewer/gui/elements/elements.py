@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.roles import Action
 
-ButtonStyle = Literal["plain", "outlined", "leading"]
-"""As in a row of its own; a secondary action; the primary action, always visible at the foot of the panel."""
+ButtonStyle = Literal["plain", "outlined", "filled", "leading"]
+"""As in a row of its own; a secondary action; the primary action; that always visible at the foot of the panel."""
 
 
 PAUSE_S = 0.8
@@ -50,7 +50,7 @@ class Button(Element):
 
     commands: True if it needs control, because it moves the rig or changes the plan, the dataset or the results;
     action: what it does, if that needs a role. failed: title of a failure; without one that of its stack or step.
-    height_px: of a leading one.
+    height_px: unless it is plain.
     """
 
     label: str
@@ -61,7 +61,7 @@ class Button(Element):
     commands: bool = False
     action: Action | None = None
     failed: str = ""
-    height_px: int = 44
+    height_px: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
@@ -58,11 +59,16 @@ class Mount:
         self._gui, self._page, self._failed = gui, page, failed
         self._folder = container or gui.add_folder(None, visible=False)
         self._hides = container is None
+        self._drawing = threading.Lock()
         self._widgets: dict[Path, Widget] = {}
         self._folds: dict[Path, Any] = {}
 
     def show(self, elements: el.Elements | None) -> None:
-        """Show the elements; None hides the panel and leaves its widgets as they are."""
+        """Show the elements, on any thread; None hides the panel and leaves its widgets as they are."""
+        with self._drawing:
+            self._show(elements)
+
+    def _show(self, elements: el.Elements | None) -> None:
         if self._hides:
             set_prop(self._folder, "visible", elements is not None)
         if elements is None:
@@ -195,9 +201,9 @@ class ButtonWidget:
         if element.commands:
             controlled(handle, element.action)
         if element.style == "outlined":
-            add_html(gui, outlined_style(handle), order)
-        elif element.style == "leading" and not in_row:
-            add_html(gui, leading_style(handle, element.height_px), order)
+            add_html(gui, outlined_style(handle, element.height_px or 36), order)
+        elif element.style != "plain" and not in_row:
+            add_html(gui, leading_style(handle, element.height_px or 44, element.style == "leading"), order)
 
     def show(self, element: el.Button) -> None:
         """Set label and state, and the callback of the next press."""

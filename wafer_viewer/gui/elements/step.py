@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -13,10 +14,11 @@ from markupsafe import Markup
 from wafer_viewer.gui.elements.elements import Elements, Html
 from wafer_viewer.gui.elements.mount import Mount
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.page.panels import BottomPanel
+from wafer_viewer.gui.page.panels import FIRST_WIDTH_PX, HEIGHTS_PX
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets.ask import Ask
-from wafer_viewer.gui.widgets.controls import set_prop
+from wafer_viewer.gui.widgets.controls import add_html, set_prop
+from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.model.spec import replace, with_field
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -94,25 +96,42 @@ class StepDock(StepPanel[C]):
         failed: str,
         picks: Picks[C] = MappingProxyType({}),
     ) -> None:
-        self._below = BottomPanel(page, curve)
-        with self._below.tab:
+        self._curve, self._width_px = curve, FIRST_WIDTH_PX
+        self._panel = page.gui.add_panel(visible=False)
+        self._drawing = threading.Lock()
+        with self._panel.add_tab(curve.capitalize()):
+            add_html(page.gui, Markup('<div class="wv-bottom"></div>'))
             super().__init__(page, step, own, failed, picks)
+        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=HEIGHTS_PX.get(curve, PROFILE_PX))
+        page.viewport.on_change(self._follow)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the step as it is now, if its curve is shown."""
-        if self._below.show(view):
-            super().show(snapshot, view)
+        """Show the step as it is now, if its curve is shown; on any thread."""
+        with self._drawing:
+            set_prop(self._panel, "visible", view.below == self._curve)
+            if view.below == self._curve:
+                super().show(snapshot, view)
+
+    def _follow(self) -> None:
+        """Match the width of the scene, which depends on the side panels."""
+        width_px = self.here.page.viewport.width_px
+        if width_px not in (0, self._width_px):
+            self._width_px = width_px
+            self._panel.set_width(width_px)
 
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """Elements over the scene, in CSS pixels; negative x, y count from the right and the bottom edge of the scene."""
+    """Elements over the scene, in CSS pixels; negative x, y count from the right and the bottom edge of the scene.
+
+    height_px: None for that of the elements.
+    """
 
     elements: Elements
     x_px: int
     y_px: int
     width_px: int
-    height_px: int
+    height_px: int | None
 
     @classmethod
     def of(
@@ -151,7 +170,7 @@ class StepOverlay(Generic[C]):
         self._overlay = overlay
         self._panel = page.gui.add_panel(visible=False)
         self._mount = Mount(page.gui, page, failed, self._panel.add_tab("·"))
-        self._place = (0, 0, 0, 0)
+        self._place: object = None
         for name, act in picks.items():
             page.on_pick(name, partial(act, self.here))
 
@@ -163,6 +182,6 @@ class StepOverlay(Generic[C]):
             place = x, y, width, height = shown.x_px, shown.y_px, shown.width_px, shown.height_px
             if place != self._place:
                 self._place = place
-                self._panel.float(x=x, y=y, width=width, height=height + CLIPPED_PX)
+                self._panel.float(x=x, y=y, width=width, height=height and height + CLIPPED_PX)
         self._mount.show(shown.elements if shown is not None else ())
         set_prop(self._panel, "visible", shown is not None)

@@ -1,4 +1,4 @@
-"""Parts that several panels share: the panel below the scene, the verdict, and the list of background jobs."""
+"""Parts that several panels share: the height of the panel below the scene, the verdict, and the background jobs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import duration, share
-from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import verdict as words
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import add_html, set_prop
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.session.state.snapshot import COMPILING, KernelProgress, Snapshot, Work
 
@@ -24,32 +22,6 @@ HEIGHTS_PX: dict[Below, int] = {"none": 0, "live": 208, "defect": 208}
 def bottom_panel_height_px(view: View) -> int:
     """Return the height of the bottom panel in CSS pixels; 0 if no curve is shown."""
     return HEIGHTS_PX.get(view.below, PROFILE_PX)
-
-
-class BottomPanel:
-    """Panel that is visible while the view shows its curve; add contents `with tab:`."""
-
-    def __init__(self, page: Page, curve: Below) -> None:
-        self._curve = curve
-        self._panel = page.gui.add_panel(visible=False)
-        self.tab = self._panel.add_tab(curve.capitalize())
-        with self.tab:
-            add_html(page.gui, Markup('<div class="wv-bottom"></div>'))
-        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=HEIGHTS_PX.get(curve, PROFILE_PX))
-        self._width = 0
-        page.viewport.on_change(lambda: self._follow(page.viewport.width_px))
-
-    def show(self, view: View) -> bool:
-        """Show or hide the panel by the view; return whether it is visible."""
-        visible = view.below == self._curve
-        set_prop(self._panel, "visible", visible)
-        return visible
-
-    def _follow(self, width_px: int) -> None:
-        """Match the width of the scene, which depends on the side panels."""
-        if width_px not in (0, self._width):
-            self._width = width_px
-            self._panel.set_width(width_px)
 
 
 def unfold(*, more: bool) -> Markup:

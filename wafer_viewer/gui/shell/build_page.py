@@ -20,7 +20,7 @@ from wafer_viewer.gui.dialogs.control_handover import CONTROL_PICKS, NOT_HANDED_
 from wafer_viewer.gui.dialogs.stop import complete_fields_sentence
 from wafer_viewer.gui.elements.step import Here, StepDock, StepOverlay, StepPanel
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
-from wafer_viewer.gui.measure.profile_dock import ProfileDock
+from wafer_viewer.gui.measure.profile_dock import PROFILE_PICKS, ProfilePlot, profile_dock
 from wafer_viewer.gui.overlays.hud import (
     Clicked,
     PoseLegend,
@@ -54,7 +54,15 @@ from wafer_viewer.gui.shell.shortcuts import (
     commands_of,
     glossary_command,
 )
-from wafer_viewer.gui.shell.tour_guide import TourGuide, Welcome
+from wafer_viewer.gui.shell.tour_guide import (
+    NO_PLAN,
+    TOUR_PICKS,
+    Welcome,
+    tour_commands,
+    tour_guide,
+    welcome,
+    welcome_commands,
+)
 from wafer_viewer.gui.state.view_state import View, with_cursor
 from wafer_viewer.gui.steps.acquire import acquire_step
 from wafer_viewer.gui.steps.gauge.gauge_check import run_chart_dock, step_readout
@@ -267,7 +275,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         ear = BrowserEvents(page)
     with always_mounted(page.gui):
         theme = PageTheme(page)
-        head, contact, tour = StepPanel(page, header, None, NOT_DRAWN, HEADER_PICKS), Contact(page), TourGuide(page)
+        head, contact = StepPanel(page, header, None, NOT_DRAWN, HEADER_PICKS), Contact(page)
+        tour = StepPanel(page, tour_guide, None, "The tour did not go on", TOUR_PICKS)
     review = Review(page)
     left = LeftPanel(page, review)  # docked before anything is drawn: the scene is drawn anew when it changes its size
     strip = StepPanel(page, control_strip, None, NOT_HANDED_OVER, CONTROL_PICKS)
@@ -279,8 +288,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     ear.on_motion(scene.let_fly)
     review.on_fly(scene)
     curves = LiveProfiles(page)
-    viewpoint, drawing, welcome = Viewpoint(page, scene), ScenePart(scene, curves), Welcome(page)
-    page.show_first([theme, head, welcome, viewpoint, drawing])
+    viewpoint, drawing = Viewpoint(page, scene), ScenePart(scene, curves)
+    start = StepOverlay(page, welcome, Welcome(), failed=NO_PLAN)
+    page.show_first([theme, head, start, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.visible_um)
     plan = StepPanel(page, plan_step, PlanState(), NOT_CHANGED, PICKS)
     acquire = StepPanel(page, acquire_step, None, "The scan was not changed")
@@ -290,6 +300,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     measure = StepPanel(page, measure_step, MeasureState(curves, scene.first_levelling), "The setting was not changed")
     gauge = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS)
     report = StepPanel(page, report_step, ReportChoices(), "The report was not changed")
+    profiles = StepDock(page, "profile", profile_dock, ProfilePlot(curves), "The curve is not shown", PROFILE_PICKS)
+    curves.on_news(lambda: profiles.show(page.session.snapshot, page.view))
     sheet = StepOverlay(page, partial(sheet_over, review_sheet), SheetState(review, Thumbnails(page)), SHEET_PICKS)
     page.viewport.on_change(page.redraw)
     why = StepPanel(page, evidence_step, Explained(), "The explanation was not changed", EVIDENCE_PICKS)
@@ -323,7 +335,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             StepOverlay(page, pose_legend, PoseLegend(poses, scene.um_per_pixel)),
             StepOverlay(page, scale_bar, scene.um_per_pixel),
             clicked,
-            ProfileDock(page, curves),
+            profiles,
             StepDock(page, "why", evidence_dock, ChosenFrame(), "The frame was not chosen", FRAME_PICKS),
             StepDock(page, "gauge", run_chart_dock, None, CHECK_FAILED),
             StepDock(page, "calibration", calibration_dock, None, NOT_RUN),
@@ -334,7 +346,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             live,
             StepOverlay(page, step_readout),
         ),
-        welcome,
+        start,
         tour,
         reopened,
         strip,
@@ -346,12 +358,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_page(page, scene, left)
     _listen_to_scene(page, scene, clicked.here, why.here)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, tour
-    of_steps = [*report_commands(report.here), *comparison_commands(left.compare.here), *live_commands(page)]
-    of_steps += [*gauge_commands(gauge.here), *instrument_commands(page), *review_commands(review)]
-    of_steps += [*section_commands(left.defects.here), *map_commands(review), *stack_commands(sheet.here, review)]
-    of_parts = [command for part in with_verbs for command in part.commands()] + of_steps
-    verbs = [*of_parts, *commands_of(page, Parts(plan.here, measure.here, why.here, review))]
+    of_steps = [*welcome_commands(start.here), *tour_commands(page), *report_commands(report.here)]
+    of_steps += [*comparison_commands(left.compare.here), *live_commands(page), *gauge_commands(gauge.here)]
+    of_steps += [*instrument_commands(page), *review_commands(review), *section_commands(left.defects.here)]
+    of_steps += [*map_commands(review), *stack_commands(sheet.here, review)]
+    verbs = [*of_steps, *commands_of(page, Parts(plan.here, measure.here, why.here, review))]
     parts.insert(1, _palette(page, scene, verbs))
     page.on_close(scene.close)
     page.begin(parts)

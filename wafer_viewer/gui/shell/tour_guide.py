@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import viser
 from markupsafe import Markup
@@ -16,13 +19,15 @@ from markupsafe import Markup
 from wafer_viewer.draw.number_format import duration, number, size, with_unit
 from wafer_viewer.gui.dialogs.import_dialog import import_dialog
 from wafer_viewer.gui.dialogs.open_and_export import open_dialog
+from wafer_viewer.gui.elements.elements import Button, Elements, Html
+from wafer_viewer.gui.elements.step import Here, Overlay, Picks
+from wafer_viewer.gui.overlays.hud import FIRST_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.gui.steps.report import report_address
 from wafer_viewer.gui.steps.review.judging import JUDGEMENTS
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.callbacks import guarded
-from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, add_html, command_button, leading, outlined, set_prop
+from wafer_viewer.gui.widgets.controls import Command
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.measurement.measurements import StepHeight
 from wafer_viewer.session.files.file_jobs import newest_report
@@ -46,85 +51,85 @@ class Note:
     at: str = ""
 
 
-class TourGuide:
-    """Note of the present step; Escape ends the tour."""
+def tour_guide(here: Here[None]) -> Elements:
+    """Return the note of the present step of the tour, or its results; Escape ends it."""
+    page, snapshot, view = here.page, here.snapshot, here.view
+    tour = view.tour
+    if tour is None or not is_tour(snapshot.draft.job):
+        return [Html("", padded=False)]
+    report = report_of(snapshot, tour)
+    step = present_step(snapshot, view, report)
+    if step < N_STEPS:
+        return [Html(_note_html(note_of(step, snapshot, view), step), padded=False)]
+    if tour.ended_s is None:
+        tour = replace(tour, ended_s=time.time())
+        page.change(tour=tour)
+    return [Html(end_card(snapshot, tour, report), padded=False)]
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._cell = HtmlBlock(page.gui, padded=False)
-        page.on_pick("tour", lambda _: self.begin())
-        page.on_pick("tour-skip", lambda step: self._skip(int(step)))
-        page.on_pick("tour-end", lambda _: self.end())
-        page.on_pick("tour-plan", lambda _: self._plan())
-        page.on_pick("tour-import", lambda _: self._import())
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the note of the present step, or the results."""
-        tour = view.tour
-        if tour is None or not is_tour(snapshot.draft.job):
-            self._cell.show("")
-            return
-        report = report_of(snapshot, tour)
-        step = present_step(snapshot, view, report)
-        if step < N_STEPS:
-            self._cell.show(_note_html(note_of(step, snapshot, view), step))
-            return
-        if tour.ended_s is None:
-            tour = replace(tour, ended_s=time.time())
-            self._page.change(tour=tour)
-        self._cell.show(end_card(snapshot, tour, report))
+def tour_commands(page: Page) -> list[Command]:
+    """Return the commands that begin and end the tour."""
 
-    def commands(self) -> list[Command]:
-        """Return the commands that begin and end the tour."""
+    def why_not(snapshot: Snapshot, _: View) -> str | None:
+        return None if snapshot.rig.simulated else "the tour is for the virtual rig, this one is real."
 
-        def why_not(snapshot: Snapshot, _: View) -> str | None:
-            return None if snapshot.rig.simulated else "the tour is for the virtual rig, this one is real."
+    icon, name = viser.Icon, "Take the tour on the virtual rig"
+    running: Callable[[Snapshot, View], bool] = lambda _, view: view.tour is not None  # noqa: E731 - short
+    return [
+        Command(name, None, partial(begin, page), icon.PLAYER_PLAY, group="Plan", why_not=why_not),
+        Command("End the tour", None, partial(end, page), icon.X, group="Page", here=running),
+    ]
 
-        def running(_: Snapshot, view: View) -> bool:
-            return view.tour is not None
 
-        icon, name = viser.Icon.PLAYER_PLAY, "Take the tour on the virtual rig"
-        return [
-            Command(name, None, self.begin, icon, group="Plan", why_not=why_not),
-            Command("End the tour", None, self.end, viser.Icon.X, group="Page", here=running),
-        ]
+def begin(page: Page) -> None:
+    """Fill in the plan of the tour and point at its first button."""
+    failed = "The tour did not begin"
 
-    def begin(self) -> None:
-        """Fill in the plan of the tour and point at its first button."""
-        page, failed = self._page, "The tour did not begin"
+    def lead(_: object) -> None:
+        page.change(step="plan", tour=Tour(since_s=time.time()), tool="none", why=None, selected=None)
 
-        def lead(_: object) -> None:
-            page.change(step="plan", tour=Tour(since_s=time.time()), tool="none", why=None, selected=None)
+    def plan(_: object = None) -> None:
+        page.ask(failed, page.session.take_tour(), lead)
 
-        def plan(_: object = None) -> None:
-            page.ask(failed, page.session.take_tour(), lead)
+    if page.session.snapshot.dataset is None:
+        plan()
+    else:
+        page.ask(failed, page.session.close_dataset(), plan)
 
-        if page.session.snapshot.dataset is None:
-            plan()
-        else:
-            page.ask(failed, page.session.close_dataset(), plan)
 
-    def end(self) -> None:
-        """End the tour."""
-        self._page.change(tour=None)
+def end(page: Page) -> None:
+    """End the tour."""
+    page.change(tour=None)
 
-    def _skip(self, step: int) -> None:
-        if (tour := self._page.view.tour) is not None:
-            self._page.change(tour=replace(tour, skipped=step + 1))
 
-    def _plan(self) -> None:
-        """End the tour and create an empty plan that covers the sample."""
-        page, failed = self._page, "There is no plan"
-        self.end()
+def _skip(page: Page, step: int) -> None:
+    if (tour := page.view.tour) is not None:
+        page.change(tour=replace(tour, skipped=step + 1))
 
-        def cover(_: object) -> None:
-            page.ask(failed, page.session.cover_sample(), lambda _: page.change(step="plan"))
 
-        page.ask(failed, page.session.edit_job(None), cover)
+def _plan_own(page: Page) -> None:
+    """End the tour and create an empty plan that covers the sample."""
+    failed = NO_PLAN
+    end(page)
 
-    def _import(self) -> None:
-        self.end()
-        guarded(self._page, "Nothing was imported")(import_dialog)(self._page)
+    def cover(_: object) -> None:
+        page.ask(failed, page.session.cover_sample(), lambda _: page.change(step="plan"))
+
+    page.ask(failed, page.session.edit_job(None), cover)
+
+
+def _import_own(page: Page) -> None:
+    end(page)
+    import_dialog(page)
+
+
+TOUR_PICKS: Picks[None] = {
+    "tour": lambda here, _: begin(here.page),
+    "tour-skip": lambda here, step: _skip(here.page, int(step)),
+    "tour-end": lambda here, _: end(here.page),
+    "tour-plan": lambda here, _: _plan_own(here.page),
+    "tour-import": lambda here, _: _import_own(here.page),
+}
 
 
 def report_of(snapshot: Snapshot, tour: Tour) -> Path | None:
@@ -352,70 +357,59 @@ def _written(report: Path | None) -> Result:
 
 
 WIDTH_PX, HEIGHT_PX = 380, 318
+NO_PLAN = "There is no plan"
+PLANS: dict[str, Any] = {"commands": True, "action": "Plan saved"}
 TOUR_TIME = "about 2 min"
 """Measured by tests/bench/bench_tour.py, including reading time."""
 
 
+@dataclass(frozen=True, slots=True)
 class Welcome:
-    """Card shown while there is neither a plan nor a dataset."""
+    """State of the card. away: it is hidden, so that the form can be used where there is no overview of the sample."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._place = (0, 0)
-        self._away = False
-        gui = page.gui
-        self._panel = gui.add_panel(visible=False)
-        with self._panel.add_tab("Start"):
-            add_html(gui, Markup('<div class="wv-card"></div>'))
-            HtmlBlock(gui, _HEAD)
-            begin = guarded(page, "There is no plan")(lambda _: self._plan())
-            plan = command_button(gui, "Plan a scan", viser.Icon.LAYOUT_GRID, begin, action="Plan saved")
-            leading(gui, plan, 46, sticky=False)
-            outlined(
-                gui, command_button(gui, "Open a dataset…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page)), 42
-            )
-            outlined(
-                gui, command_button(gui, "Import images…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page)), 42
-            )
-            self._tour = HtmlBlock(gui)
+    away: bool = False
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show or hide the card."""
-        first = snapshot.draft.job is None and snapshot.dataset is None and view.step == "plan" and not self._away
-        set_prop(self._panel, "visible", first)
-        if not first:
-            return
-        self._centre()
-        link = Markup('<span class="wv-link" {}>Take the tour on the virtual rig</span>, {}').format(
-            html.command_pick("tour", action="Plan saved"), TOUR_TIME
-        )
-        link_or_wait = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
-        tour = Markup("No sample at hand? &ensp;{}").format(link_or_wait) if snapshot.rig.simulated else Markup()
-        self._tour.show(Markup('<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{}</div>').format(tour))
 
-    def commands(self) -> list[Command]:
-        """Return the command that plans a scan."""
-        icon = viser.Icon
-        return [Command("Plan a scan", None, self._go_and_plan, icon.LAYOUT_GRID, group="Plan")]
+def welcome(here: Here[Welcome]) -> Overlay | None:
+    """Return the card that is shown while there is neither a plan nor a dataset."""
+    page, snapshot, viewport = here.page, here.snapshot, here.page.viewport
+    if here.own.away or snapshot.draft.job is not None or snapshot.dataset is not None or here.view.step != "plan":
+        return None
+    link = Markup('<span class="wv-link" {}>Take the tour on the virtual rig</span>, {}').format(
+        html.command_pick("tour", action="Plan saved"), TOUR_TIME
+    )
+    link_or_wait = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
+    tour = Markup("No sample at hand? &ensp;{}").format(link_or_wait) if snapshot.rig.simulated else Markup()
+    plan = Button("Plan a scan", partial(_plan, here), viser.Icon.LAYOUT_GRID, "filled", height_px=46, **PLANS)
+    way = partial(Button, style="outlined", height_px=42, commands=True)
+    card = [
+        Html(Markup('<div class="wv-card"></div>'), padded=False),
+        Html(_HEAD),
+        plan,
+        way("Open a dataset…", partial(open_dialog, page), viser.Icon.FOLDER_OPEN),
+        way("Import images…", partial(import_dialog, page), viser.Icon.PHOTO_PLUS),
+        Html(Markup('<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{}</div>').format(tour)),
+    ]
+    width, height = viewport.width_px or FIRST_PX[0], viewport.height_px or FIRST_PX[1]
+    return Overlay(card, max(0, (width - WIDTH_PX) // 2), max(70, (height - HEIGHT_PX) // 2), WIDTH_PX, None)
 
-    def _go_and_plan(self) -> None:
-        self._page.change(step="plan", why=None)
-        self._plan()
 
-    def _plan(self) -> None:
-        """Cover the sample in the rig's overview; without an overview, hide the card so that the form can be used."""
-        if self._page.session.snapshot.overview is None:
-            self._away = True
-            self._page.redraw()
-        else:
-            self._page.ask("There is no plan", self._page.session.cover_sample())
+def welcome_commands(here: Here[Welcome]) -> list[Command]:
+    """Return the command that plans a scan."""
 
-    def _centre(self) -> None:
-        viewport = self._page.viewport
-        place = ((viewport.width_px - WIDTH_PX) // 2, max(70, (viewport.height_px - HEIGHT_PX) // 2))
-        if place != self._place and viewport.width_px > 0:
-            self._place = place
-            self._panel.float(x=max(0, place[0]), y=place[1], width=WIDTH_PX)
+    def go_and_plan() -> None:
+        here.page.change(step="plan", why=None)
+        _plan(here)
+
+    return [Command("Plan a scan", None, go_and_plan, viser.Icon.LAYOUT_GRID, group="Plan")]
+
+
+def _plan(here: Here[Welcome]) -> None:
+    """Cover the sample in the rig's overview; without an overview hide the card."""
+    if here.page.session.snapshot.overview is None:
+        here.keep(away=True)
+    else:
+        here.page.ask(NO_PLAN, here.page.session.cover_sample())
 
 
 _HEAD = Markup(

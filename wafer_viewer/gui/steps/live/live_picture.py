@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import dataclass
 
@@ -15,7 +14,8 @@ from wafer_viewer.draw.number_format import duration, length_text, number, round
 from wafer_viewer.draw.surface.display_style import eight_bit
 from wafer_viewer.gui.elements.elements import Elements, Html, Picture
 from wafer_viewer.gui.elements.mount import Mount
-from wafer_viewer.gui.overlays.hud import EDGE_PX
+from wafer_viewer.gui.elements.step import CLIPPED_PX
+from wafer_viewer.gui.overlays.hud import EDGE_PX, FIRST_PX
 from wafer_viewer.gui.overlays.toolbar import sample_or_live
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import bottom_panel_height_px
@@ -29,16 +29,12 @@ from wafer_viewer.session.acquisition.live_controller import LiveLook
 from wafer_viewer.session.state.instrument_state import FocusTrace
 from wafer_viewer.session.state.snapshot import Snapshot
 
-FIRST_PX = 892, 640
-"""Size of the scene until the browser reports it."""
 LEAST_PX = 240
 MOST_ACROSS_PX = 960
 """Largest number of columns that are sent; the browser scales them to the picture."""
 WORDS_EVERY_S = 0.2
 JPEG_QUALITY = 82
 BAR_PX = 150
-BORDER_PX = 18
-"""Extra height of a floating panel, without which viser clips its content at the bottom."""
 SATURATED = (214, 39, 40)
 FAILED = "The live picture is not shown"
 NOT_DRIVEN = "The stage did not move"
@@ -85,7 +81,6 @@ class LivePicture:
         self._scene_px = FIRST_PX
         self._at_bench = False
         self._drawn_s = 0.0
-        self._drawing = threading.Lock()
         self._worker = LatestOnlyWorker("live picture")
         page.on_close(self._worker.close)
         page.on_close(page.session.live.on_frame(self._frame_arrived))
@@ -103,7 +98,7 @@ class LivePicture:
             size = PictureSize.within(self._scene_px, aspect)
             if size != self._size:
                 self._size = size
-                self._panel.float(x=size.x_px, y=size.y_px, width=size.width_px, height=size.height_px + BORDER_PX)
+                self._panel.float(x=size.x_px, y=size.y_px, width=size.width_px, height=size.height_px + CLIPPED_PX)
             words = words_over(snapshot, self._page.session.live.look(), size, time.time())
             self._over = Html(_target(size), padded=False), Html(words, padded=False)
         self._draw()
@@ -112,8 +107,7 @@ class LivePicture:
     def _draw(self) -> None:
         frame = self._page.session.live.look().frame
         picture = Picture(frame.image, display_picture, jpeg_quality=JPEG_QUALITY) if frame is not None else None
-        with self._drawing:
-            self._mount.show([*self._over, picture] if self._at_bench else ())
+        self._mount.show([*self._over, picture] if self._at_bench else ())
 
     def _follow(self, width_px: int, height_px: int) -> None:
         if (width_px, height_px) != self._scene_px and width_px > 0 and height_px > 0:
