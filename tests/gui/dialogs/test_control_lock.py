@@ -1,4 +1,4 @@
-"""Widgets that declare that they need control are locked for an observer; the others are not."""
+"""Elements that declare that they need control are locked for an observer; the others are not."""
 
 from __future__ import annotations
 
@@ -7,77 +7,49 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.gui.dialogs.control_handover import ControlLock, control_strip
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.dialogs.control_handover import control_strip
+from wafer_viewer.gui.elements.elements import Button, Text, Upload
+from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import button, command_button, controlled, set_prop
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
 ANNA, BEN = Browser("a", "Anna"), Browser("b", "Ben")
-
-
-class Gui:
-    """The parts of viser's GUI that a lock needs."""
-
-    def __init__(self) -> None:
-        self._gui_input_handle_from_uuid: dict[str, Any] = {}
-        self.drawn: list[SimpleNamespace] = []
-
-    def add_html(self, content: str, order: float | None = None) -> SimpleNamespace:
-        self.drawn.append(SimpleNamespace(content=content))
-        return self.drawn[-1]
-
-    def add_button(self, label: str, icon: Any, disabled: bool) -> SimpleNamespace:
-        return self._input(label, disabled=disabled, on_click=lambda act: None)
-
-    def add_text(self, label: str, value: str) -> SimpleNamespace:
-        return self._input(label, value=value, disabled=False)
-
-    def _input(self, label: str, **props: Any) -> SimpleNamespace:
-        uuid = f"{id(self)}-{len(self._gui_input_handle_from_uuid)}"
-        handle = SimpleNamespace(label=label, _impl=SimpleNamespace(uuid=uuid, removed=False), **props)
-        self._gui_input_handle_from_uuid[uuid] = handle
-        return handle
-
-
-@pytest.fixture
-def gui():
-    return Gui()
-
-
-@pytest.fixture
-def page(gui):
-    page = SimpleNamespace(gui=gui, browser=SimpleNamespace(key="b"), on_close=lambda act: None)
-    page.say = lambda *words: None
-    return page
-
-
-@pytest.fixture
-def lock(page):
-    return ControlLock(page)
 
 
 def held_by(key: str) -> Snapshot:
     return Snapshot(control=ControlState(browsers=(ANNA, BEN), holder=key))
 
 
-def test_what_needs_control_is_locked_while_another_holds_it(gui, lock):
-    stop, pause = button(gui, "Pause", None, print), command_button(gui, "Pause", None, print)
-    lot, title = controlled(gui.add_text("Lot", "")), gui.add_text("Lot", "")
-    lock.show(held_by("a"), View())
-    late = command_button(gui, "Start", None, print, disabled=True)
-    lock.show(held_by("a"), View())
-    assert [w.disabled for w in (stop, title)] == [False, False], "a label says nothing about control"
-    assert [w.disabled for w in (pause, lot, late)] == [True, True, True]
-    set_prop(pause, "disabled", False)
-    assert pause.disabled, "its part of the page does not unlock it"
-    lock.show(held_by("b"), View())
-    assert [w.disabled for w in (pause, lot, late)] == [False, False, True]
+def page_of(snapshot: Snapshot) -> Any:
+    return SimpleNamespace(session=SimpleNamespace(snapshot=snapshot), browser=SimpleNamespace(key="b"))
 
 
-def test_elements_of_html_that_need_control_are_named_by_their_attribute(page):
+@pytest.mark.parametrize(
+    ("element", "needs_control"),
+    [
+        (Button("Pause", print), False),
+        (Button("Pause", print, commands=True), True),
+        (Text("Lot", "", print, "", commands=True), True),
+        (Text("Lot", "", print, ""), False),
+        (Upload("Send a file", print), True),
+    ],
+)
+def test_what_needs_control_is_locked_while_another_holds_it(element: Any, needs_control: bool):
+    assert Page.locks(page_of(held_by("a")), element) is needs_control
+    assert not Page.locks(page_of(held_by("b")), element)
+
+
+def test_operator_may_not_use_what_changes_a_job():
+    people = ControlState(browsers=(ANNA, Browser("b", "Ben", role="operator")), holder="b", engineers=("Anna",))
+    page = page_of(Snapshot(control=people))
+    assert Page.locks(page, Button("Save plan", print, commands=True, action="Plan saved"))
+    assert not Page.locks(page, Button("Start", print, commands=True, action="Scan started"))
+
+
+def test_elements_of_html_that_need_control_are_named_by_their_attribute():
     def style(holder: str) -> str:
-        (strip,) = control_strip(SimpleNamespace(snapshot=held_by(holder), page=page))
+        here: Any = SimpleNamespace(snapshot=held_by(holder), page=page_of(held_by(holder)))
+        (strip,) = control_strip(here)
         return strip.content
 
     assert html.NEEDS_CONTROL not in html.pick("theme")

@@ -39,6 +39,10 @@ class Page:
 
     told: list[Any] = field(default_factory=list)
     typed: list[Debouncer] = field(default_factory=list)
+    is_watched: bool = False
+
+    def locks(self, element: Any) -> bool:
+        return self.is_watched and getattr(element, "commands", True)
 
     def settle(self, title: str) -> None:
         self.told = [note for note in self.told if note[0] != title]
@@ -279,3 +283,21 @@ def test_only_what_differs_is_sent(mount: Mount, monkeypatch: pytest.MonkeyPatch
     assert sent == []
     mount.show([Html(Markup("<b>31.9</b>")), *state[1:]])
     assert len(sent) == 1
+
+
+def test_what_needs_control_is_locked_while_another_holds_it(mount: Mount, page: Page):
+    def of(off: bool = False) -> list[Element]:
+        lot, note = Text("Lot", "", nothing, "", commands=True), Text("Note", "", nothing, "")
+        return [lot, note, Button("Start", nothing, disabled=off, commands=True), Button("Stop", nothing)]
+
+    def locked() -> list[str]:
+        return [handle.label for handle in widgets(mount) if handle.disabled]
+
+    page.is_watched = True
+    mount.show(of())
+    assert locked() == ["Lot", "Start"]
+    page.is_watched = False
+    mount.show(of())
+    assert locked() == []
+    mount.show(of(off=True))
+    assert locked() == ["Start"], "as its part of the page wants it"

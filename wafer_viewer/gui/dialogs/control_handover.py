@@ -1,14 +1,10 @@
-"""Control handover on one page: widgets locked for observers, requests for control, and answers.
-
-The session refuses an observer's commands; this module disables the widgets that would send them.
-"""
+"""Control handover on one page: note of an observer or an operator, requests for control, and answers."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import viser
 from markupsafe import Markup
@@ -16,16 +12,15 @@ from markupsafe import Markup
 from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, Dialog
 from wafer_viewer.gui.elements.elements import Elements, Html, Text
 from wafer_viewer.gui.elements.step import Here, Picks
-from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.page import Page, restrictions
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.controls import bar, unbar
 from wafer_viewer.model.roles import rule
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
 _GREY = "{opacity:.5;pointer-events:none}"
 _WATCHING = html.style_sheet(f"[{html.NEEDS_CONTROL}]{_GREY}")
-_OPERATING = html.style_sheet(f"[{html.NEEDS_ENGINEER}],div:has(>.{html.FOR_ENGINEERS})+div{_GREY}")
+_OPERATING = html.style_sheet(f"[{html.NEEDS_ENGINEER}]{_GREY}")
 _MASKED = Markup('<div class="wv-masked"></div>') + html.style_sheet(
     "div:has(>.wv-masked)+div input{-webkit-text-security:disc}"
 )
@@ -37,8 +32,7 @@ NAME_HINT = "Shown to the other browsers"
 def control_strip(here: Here[None]) -> Elements:
     """Return the note above the panel of an observer or an operator, with the style of what cannot be used."""
     control, key = here.snapshot.control, here.page.browser.key
-    watching, operating = _lock(control, key)
-    return [Html(_strip(control, key) if watching or operating else "")]
+    return [Html(_strip(control, key) if any(restrictions(control, key)) else "")]
 
 
 CONTROL_PICKS: Picks[None] = {
@@ -51,39 +45,17 @@ CONTROL_PICKS: Picks[None] = {
 }
 
 
-def _lock(control: ControlState, key: str) -> tuple[bool, bool]:
-    """Return whether a browser only watches, and whether an operator uses it."""
-    there, role = control.browser(key) is not None, control.role_of(key)
-    watching = there and control.why_only_watching(key) is not None
-    return watching, there and not watching and role == "operator"
-
-
-class ControlLock:
-    """Lock of the widgets that an observer or an operator may not use, and news of who holds the controls."""
+class ControlNews:
+    """News of who holds the controls."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._control = ControlState()
-        self._barred: dict[str, Any] = {}
-        page.on_close(lambda: self._bar(False, False))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Update the locked widgets."""
-        self._bar(*_lock(snapshot.control, self._page.browser.key))
+        """Tell what has changed."""
         self._tell(self._control, snapshot.control)
         self._control = snapshot.control
-
-    def _bar(self, watching: bool, operating: bool) -> None:
-        """Disable what an observer or an operator may not use, also if made since the last call; enable the rest."""
-        wanted: dict[str, Any] = {}
-        if watching or operating:
-            handles = dict(self._page.gui._gui_input_handle_from_uuid)
-            wanted = {uuid: handle for uuid, handle in handles.items() if _is_barred(handle, watching)}
-        for handle in wanted.values():
-            bar(handle)
-        for uuid in self._barred.keys() - wanted.keys():
-            unbar(self._barred[uuid])
-        self._barred = wanted
 
     def _tell(self, before: ControlState, now: ControlState) -> None:
         page, key = self._page, self._page.browser.key
@@ -98,10 +70,6 @@ class ControlLock:
                 )
         if now.refused == key and before.refused != key:
             page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
-
-
-def _is_barred(handle: Any, watching: bool) -> bool:
-    return getattr(handle, "needs_control", False) if watching else getattr(handle, "needs_role", "") == "engineer"
 
 
 def control_question(snapshot: Snapshot, key: str) -> Markup:

@@ -92,7 +92,7 @@ class Dialog(Here[C]):
         self._below, self._answer, self._contents = below, answer, contents
         self._problem = ""
         self._mount = Mount(page.gui, self, answer.failed if answer else title, self.modal)
-        self.say, self.on_entered, self.entered = page.say, page.on_entered, page.entered
+        self.say, self.on_entered, self.entered, self.locks = page.say, page.on_entered, page.entered, page.locks
         self._drawing = threading.RLock()
         for name, act in picks.items():
             page.on_pick(name, partial(act, self))

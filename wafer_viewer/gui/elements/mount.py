@@ -7,44 +7,59 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import viser
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from wafer_viewer.gui.elements import elements as el
-from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded
-from wafer_viewer.gui.widgets.controls import (
-    BoundInput,
-    Drawn,
-    HtmlBlock,
-    ToggleGroup,
-    add_html,
-    at_foot_style,
-    controlled,
-    leading_style,
-    outlined_style,
-    row_style,
-    set_prop,
-    with_decimals,
-)
+from wafer_viewer.gui.widgets.callbacks import Debouncer, ErrorSink, guarded
+from wafer_viewer.gui.widgets.controls import add_html, set_props
 from wafer_viewer.gui.widgets.number_field import number_of, text_of
+from wafer_viewer.gui.widgets.style import at_foot_style, chosen_style, leading_style, outlined_style, row_style
 
 Path = tuple[Hashable, ...]
 """Keys or places from the panel down to an element, and the kind of the element."""
 
 
-class Widget(Protocol):
-    """Counterpart of an element on the page."""
+class Drawn(ErrorSink, Protocol):
+    """A page, or a dialog on it, that is being drawn."""
+
+    @property
+    def as_of_s(self) -> float:
+        """Time of the drawn state, by the monotonic clock."""
+        ...
+
+    def on_entered(self, edits: Debouncer) -> None:
+        """Register what waits for a pause in typing; it is forgotten with its input."""
+        ...
+
+    def entered(self) -> None:
+        """Take what is typed."""
+        ...
+
+    def settle(self, title: str) -> None:
+        """Remove the notes of this page with a title."""
+        ...
+
+    def locks(self, element: el.Button | el.Input | el.Upload) -> bool:
+        """Return whether an observer or an operator may not use an element now."""
+        ...
+
+
+class Widget:
+    """Counterpart of an element on the page: `show` brings it to the element, `hide` takes it off, ready to return."""
+
+    handle: Any
 
     def show(self, element: Any) -> None:
         """Bring it to the element."""
-        ...
+        set_props(self.handle, visible=True)
 
     def hide(self) -> None:
-        """Take it off the page, ready to return."""
-        ...
+        """Take it off the page."""
+        set_props(self.handle, visible=False)
 
 
 class Mount:
@@ -70,7 +85,7 @@ class Mount:
 
     def _show(self, elements: el.Elements | None) -> None:
         if self._hides:
-            set_prop(self._folder, "visible", elements is not None)
+            set_props(self._folder, visible=elements is not None)
         if elements is None:
             return
         present = {placed.path: placed for placed in _placed(el.Stack(elements, failed=self._failed))}
@@ -81,7 +96,7 @@ class Mount:
                 with self._folds.get(placed.fold, self._folder):
                     self._widgets[path] = widget = WIDGETS[type(placed.element)](self._gui, self._page, placed)
                 if isinstance(widget, FoldWidget):
-                    self._folds[path] = widget.folder
+                    self._folds[path] = widget.handle
             self._widgets[path].show(placed.element)
 
 
@@ -120,43 +135,43 @@ def _placed(
             yield from _placed(el.Stack(element.elements, failed=failed), path, fold=placed.path)
 
 
-class HtmlWidget:
-    """Widget of `Html`."""
+class HtmlWidget(Widget):
+    """Widget of `Html`; text that is not Markup is shown as text."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self._block = HtmlBlock(gui, placed.element.content, placed.element.padded, placed.order)
+        self.handle = add_html(gui, _framed(placed.element), placed.order)
 
     def show(self, element: el.Html) -> None:
         """Set the content."""
-        self._block.show(element.content)
+        set_props(self.handle, content=str(escape(_framed(element))))
 
     def hide(self) -> None:
         """Empty the block."""
-        self._block.show("")
+        set_props(self.handle, content="")
 
 
-class ProgressWidget:
+def _framed(element: el.Html) -> Markup | Literal[""]:
+    content = element.content
+    return Markup('<div class="wv">{}</div>').format(content) if element.padded and content else content
+
+
+class ProgressWidget(Widget):
     """Widget of `Progress`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self._handle = gui.add_progress_bar(0.0, order=placed.order)
+        self.handle = gui.add_progress_bar(0.0, order=placed.order)
 
     def show(self, element: el.Progress) -> None:
         """Set the fraction that is done."""
-        set_prop(self._handle, "value", round(100 * element.fraction, 1))
-        set_prop(self._handle, "visible", True)
-
-    def hide(self) -> None:
-        """Hide the bar."""
-        set_prop(self._handle, "visible", False)
+        set_props(self.handle, value=round(100 * element.fraction, 1), visible=True)
 
 
-class PictureWidget:
+class PictureWidget(Widget):
     """Widget of `Picture`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
         blank, quality = np.zeros((3, 4, 3), np.uint8), placed.element.jpeg_quality
-        self._handle = gui.add_image(blank, format="jpeg", jpeg_quality=quality, visible=False, order=placed.order)
+        self.handle = gui.add_image(blank, format="jpeg", jpeg_quality=quality, visible=False, order=placed.order)
         self._source: Any = None
         self._drawn_s = -math.inf
 
@@ -165,41 +180,26 @@ class PictureWidget:
         now_s = time.monotonic()
         if element.source is not self._source and now_s - self._drawn_s > element.every_s:
             self._source, self._drawn_s = element.source, now_s
-            self._handle.image = element.draw(element.source)
-        set_prop(self._handle, "visible", True)
-
-    def hide(self) -> None:
-        """Hide the picture."""
-        set_prop(self._handle, "visible", False)
+            self.handle.image = element.draw(element.source)
+        super().show(element)
 
 
-class FoldWidget:
+class FoldWidget(Widget):
     """Widget of `Fold`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
         fold: el.Fold = placed.element
-        self.folder = gui.add_folder(fold.title, order=placed.order, expand_by_default=fold.unfolded)
-
-    def show(self, element: el.Fold) -> None:
-        """Show the folder."""
-        set_prop(self.folder, "visible", True)
-
-    def hide(self) -> None:
-        """Hide the folder with its contents."""
-        set_prop(self.folder, "visible", False)
+        self.handle = gui.add_folder(fold.title, order=placed.order, expand_by_default=fold.unfolded)
 
 
-class ButtonWidget:
+class ButtonWidget(Widget):
     """Widget of `Button`; the row it is in has its style."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed, *, in_row: bool = False) -> None:
-        self._element: el.Button = placed.element
+        self._page, self._element = page, placed.element
         element, order = self._element, placed.order
         self.handle = handle = gui.add_button(element.label, icon=element.icon, disabled=element.disabled, order=order)
         handle.on_click(guarded(page, placed.failed)(self._act))
-        self._page = page
-        if element.commands:
-            controlled(handle, element.action)
         if element.style == "outlined":
             add_html(gui, outlined_style(handle, element.height_px or 36), order)
         elif element.style != "plain" and not in_row:
@@ -208,21 +208,15 @@ class ButtonWidget:
     def show(self, element: el.Button) -> None:
         """Set label and state, and the callback of the next press."""
         self._element = element
-        set_prop(self.handle, "label", element.label)
-        set_prop(self.handle, "icon", element.icon)
-        set_prop(self.handle, "disabled", element.disabled)
-        set_prop(self.handle, "visible", True)
+        disabled = element.disabled or self._page.locks(element)
+        set_props(self.handle, label=element.label, icon=element.icon, disabled=disabled, visible=True)
 
     def _act(self, _: Any) -> Any:
         self._page.entered()
         return self._element.act()
 
-    def hide(self) -> None:
-        """Hide the button."""
-        set_prop(self.handle, "visible", False)
 
-
-class ButtonsWidget:
+class ButtonsWidget(Widget):
     """Widget of `Buttons`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
@@ -253,87 +247,119 @@ _KEY = Markup('<span hidden class="{}" data-button="{}"></span>')
 """Mark that tells the script of keys which button Escape or Enter presses."""
 
 
-class UploadWidget:
+class UploadWidget(Widget):
     """Widget of `Upload`."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self._element = element = placed.element
-        self._handle = controlled(
-            gui.add_upload_button(element.label, icon=element.icon, mime_type=element.mime_type, order=placed.order)
-        )
-        self._handle.on_upload(guarded(page, placed.failed)(lambda event: self._element.put(event.target.value)))
-        add_html(gui, outlined_style(self._handle, 30), placed.order)
+        self._page, self._element = page, placed.element
+        label, icon, mime_type = self._element.label, self._element.icon, self._element.mime_type
+        self.handle = gui.add_upload_button(label, icon=icon, mime_type=mime_type, order=placed.order)
+        self.handle.on_upload(guarded(page, placed.failed)(lambda event: self._element.put(event.target.value)))
+        add_html(gui, outlined_style(self.handle, 30), placed.order)
 
     def show(self, element: el.Upload) -> None:
         """Set the callback of the next file."""
         self._element = element
-        set_prop(self._handle, "visible", True)
-
-    def hide(self) -> None:
-        """Hide the button."""
-        set_prop(self._handle, "visible", False)
+        set_props(self.handle, disabled=self._page.locks(element), visible=True)
 
 
-class ToggleWidget:
-    """Widget of `Toggle`."""
+class ToggleWidget(Widget):
+    """Widget of `Toggle`: a button group that highlights the selected option."""
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self._element = element = placed.element
-        put = guarded(page, placed.failed)(lambda key: self._element.put(key))
-        self._group = ToggleGroup(gui, element.label, element.options, put, order=placed.order, hint=element.hint)
+        self._element: el.Toggle = placed.element
+        element, order = self._element, placed.order
+        self._mark = f"wv-choice-{id(self)}"
+        self._style = add_html(gui, self._styled(element), order)
+        titles = [title for _, title in element.options]
+        self.handle = gui.add_button_group(element.label, titles, hint=element.hint, order=order)
+        self.handle.on_click(guarded(page, placed.failed)(self._act))
 
     def show(self, element: el.Toggle) -> None:
         """Highlight the option that is set."""
         self._element = element
-        self._group.show(element.value)
-        set_prop(self._group.handle, "visible", True)
+        set_props(self._style, content=str(self._styled(element)))
+        super().show(element)
 
-    def hide(self) -> None:
-        """Hide the buttons."""
-        set_prop(self._group.handle, "visible", False)
+    def _act(self, event: Any) -> Any:
+        return self._element.put(next(key for key, title in self._element.options if title == event.target.value))
+
+    def _styled(self, element: el.Toggle) -> Markup:
+        keys = [key for key, _ in element.options]
+        chosen = keys.index(element.value) if element.value in keys else -1
+        return Markup('<div class="{}"></div>{}').format(self._mark, chosen_style(self._mark, chosen))
 
 
-class InputWidget:
+QUIET_S = 0.7
+"""Time after user input during which a slightly older value of the session does not overwrite the widget."""
+
+
+class InputWidget(Widget):
     """Widget of any other input.
 
-    What a person types stands until the session has it, and a value that came back earlier never replaces it.
+    What a person types stands until the session has it: values older than that are not shown, however long their
+    drawing took, and a value that came back earlier never replaces it.
     """
 
     def __init__(self, gui: viser.GuiApi, page: Drawn, placed: _Placed) -> None:
-        self._element = element = placed.element
-        handle = _ADD[type(element)](gui, element, placed.order)
-        if element.commands:
-            controlled(handle, element.action)
-        self._page, self._failed = page, placed.failed
+        self._page, self._element, self._failed = page, placed.element, placed.failed
+        self.handle = handle = _ADD[type(self._element)](gui, self._element, placed.order)
+        self._touched_at = -QUIET_S
+        self._last = handle.value
+        """Last value shown or received; viser updates its handle before it calls back."""
         self._edits: Debouncer | None = None
-        heard = self._put
-        if element.pause_s is not None:
-            self._edits = Debouncer(self._put, guarded(page, placed.failed), element.pause_s)
+        self._heard = guarded(page, placed.failed)(self._put)
+        if self._element.pause_s is not None:
+            self._edits = Debouncer(self._put, guarded(page, placed.failed), self._element.pause_s)
             page.on_entered(self._edits)
-            heard = self._edits.made
-        self._input: BoundInput[Any] = BoundInput(handle, lambda _: heard(), page, placed.failed)
+            self._heard = self._edits.made
+        handle.on_update(self._update)
 
     def show(self, element: el.Input) -> None:
         """Set value and state, and the callback of the next change."""
         self._element = element
-        for name, value in _props(element).items():
-            set_prop(self._input.handle, name, value)
+        set_props(self.handle, **_props(element))
         if self._edits is None or not self._edits.under_way:
-            self._input.show(_shown(element))
-        self._input.enable(not element.disabled)
-        set_prop(self._input.handle, "visible", True)
+            self._show_value(_shown(element))
+        set_props(self.handle, disabled=element.disabled or self._page.locks(element), visible=True)
 
-    def hide(self) -> None:
-        """Hide the input."""
-        set_prop(self._input.handle, "visible", False)
+    def _show_value(self, value: Any) -> None:
+        """Show a value, unless the user is moving the widget or has changed it since the value was read."""
+        if time.monotonic() - self._touched_at <= QUIET_S or self._page.as_of_s <= self._touched_at:
+            return
+        if not _equal(self._last, self.handle.value):  # put in, and not heard of yet
+            return
+        if not _equal(value, self.handle.value):
+            self._last = self.handle.value = value
+
+    def _update(self, event: Any) -> None:
+        self._last = self.handle.value
+        if event.client is not None:
+            self._touched_at = time.monotonic()
+            self._heard()
+            self._touched_at = time.monotonic()  # what was read meanwhile may be of before or after
 
     def _put(self) -> Any:
-        element, value = self._element, self._input.value
+        element, value = self._element, self.handle.value
         self._page.settle(self._failed)
         if isinstance(element, el.NumberOrEmpty):
             limits = {"over": element.over, "least": element.least, "most": element.most}
             value = number_of(value, element.label, integer=element.integer, **limits)
         return element.put(value)
+
+
+def _equal(a: Any, b: Any) -> bool:
+    """Return whether two values of a widget are equal: numbers within rounding errors, texts but for outer spaces.
+
+    The session strips texts; shown again, they would take the space from under a hand that pauses between two words.
+    """
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(_equal(p, q) for p, q in zip(a, b, strict=True))
+    if isinstance(a, int | float) and isinstance(b, int | float):
+        return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
+    if isinstance(a, str) and isinstance(b, str):
+        return a.strip() == b.strip()
+    return a == b
 
 
 def _shown(element: el.Input) -> Any:
@@ -370,13 +396,16 @@ def _number(gui: viser.GuiApi, element: Any, order: float) -> Any:
     handle = gui.add_number(
         element.label, element.value, min=element.least, step=element.step, hint=element.hint, order=order
     )
-    return with_decimals(handle, element.decimals)
+    handle.precision = element.decimals  # by itself it takes those of its step and of its first value
+    return handle
 
 
 def _pair(gui: viser.GuiApi, element: el.NumberPair, order: float) -> Any:
     least = None if element.least is None else (element.least, element.least)
     handle = gui.add_vector2(element.label, element.value, min=least, step=element.step, hint=element.hint, order=order)
-    return handle if element.decimals is None else with_decimals(handle, element.decimals)
+    if element.decimals is not None:
+        handle.precision = element.decimals
+    return handle
 
 
 def _dropdown(gui: viser.GuiApi, element: el.Dropdown, order: float) -> Any:

@@ -17,7 +17,7 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import FIRST_WIDTH_PX, HEIGHTS_PX
 from wafer_viewer.gui.state.view_state import Below, View
 from wafer_viewer.gui.widgets.ask import Ask
-from wafer_viewer.gui.widgets.controls import add_html, set_prop
+from wafer_viewer.gui.widgets.controls import add_html, set_props
 from wafer_viewer.gui.widgets.style import PROFILE_PX
 from wafer_viewer.model.spec import replace, with_field
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -108,7 +108,7 @@ class StepDock(StepPanel[C]):
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the step as it is now, if its curve is shown; on any thread."""
         with self._drawing:
-            set_prop(self._panel, "visible", view.below == self._curve)
+            set_props(self._panel, visible=view.below == self._curve)
             if view.below == self._curve:
                 super().show(snapshot, view)
 
@@ -184,4 +184,4 @@ class StepOverlay(Generic[C]):
                 self._place = place
                 self._panel.float(x=x, y=y, width=width, height=height and height + CLIPPED_PX)
         self._mount.show(shown.elements if shown is not None else ())
-        set_prop(self._panel, "visible", shown is not None)
+        set_props(self._panel, visible=shown is not None)

@@ -24,10 +24,11 @@ from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
+from wafer_viewer.model.roles import role_for
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.session.core.commands import restricted_session
 from wafer_viewer.session.rendering.render_request import OPTIONAL_QUANTITIES, ColourScale, Statistics
-from wafer_viewer.session.state.snapshot import Fault, Snapshot
+from wafer_viewer.session.state.snapshot import ControlState, Fault, Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
@@ -42,6 +43,13 @@ class PagePart(Protocol):
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the session's snapshot in this browser's view."""
         ...
+
+
+def restrictions(control: ControlState, key: str) -> tuple[bool, bool]:
+    """Return whether a browser only watches, and whether an operator uses it."""
+    there, role = control.browser(key) is not None, control.role_of(key)
+    watching = there and control.why_only_watching(key) is not None
+    return watching, there and not watching and role == "operator"
 
 
 class Page:
@@ -283,6 +291,13 @@ class Page:
     def _hurries(self) -> bool:
         """Return whether this browser holds the controls, has changed something, or has gone."""
         return self._closed or self._own.is_set() or self.session.snapshot.control.holds(self.browser.key)
+
+    def locks(self, element: Any) -> bool:
+        """Return whether an observer or an operator may not use an element: the session would refuse its command."""
+        watching, operating = restrictions(self.session.snapshot.control, self.browser.key)
+        if not getattr(element, "commands", True):
+            return False
+        return watching or (operating and role_for(getattr(element, "action", None)) == "engineer")
 
     @property
     def alive(self) -> bool:

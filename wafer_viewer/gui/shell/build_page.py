@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.dialogs.control_handover import CONTROL_PICKS, NOT_HANDED_OVER, ControlLock, control_strip
+from wafer_viewer.gui.dialogs.control_handover import CONTROL_PICKS, NOT_HANDED_OVER, ControlNews, control_strip
 from wafer_viewer.gui.dialogs.stop import complete_fields_sentence
 from wafer_viewer.gui.elements.step import Here, StepDock, StepOverlay, StepPanel
 from wafer_viewer.gui.measure.live_measurement import LiveProfiles
@@ -106,7 +106,7 @@ from wafer_viewer.gui.steps.surface.surface_step import FAILED, SURFACE_PICKS, S
 from wafer_viewer.gui.tools.region_tools import in_scene, take_places
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded, tell_failure
-from wafer_viewer.gui.widgets.controls import Command, HtmlBlock, always_mounted, looking
+from wafer_viewer.gui.widgets.controls import Command, add_html, always_mounted, looking, set_props
 from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, page_style
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
@@ -132,7 +132,7 @@ class Contact:
         self._page = secrets.token_hex(8)
         self._beats = itertools.count()
         self._words = Markup()
-        self._cell = HtmlBlock(page.gui, padded=False)
+        self._cell = add_html(page.gui, "")
         self._closed = threading.Event()
         self._lock = threading.Lock()
         page.on_pick("contact-look", lambda _: page.change(step=_step_to_look_at(page.session.snapshot), why=None))
@@ -162,11 +162,8 @@ class Contact:
         if self._words and not self._closed.is_set():
             with self._lock:
                 look = Markup("<span {}></span>").format(html.pick("contact-look"))
-                self._cell.show(
-                    Markup('<div hidden class="wv-contact" {} data-beat="{}">{}</div>').format(
-                        self._words, next(self._beats), look
-                    )
-                )
+                beat = Markup('<div hidden class="wv-contact" {} data-beat="{}">{}</div>')
+                self._cell.content = str(beat.format(self._words, next(self._beats), look))
 
 
 def state(snapshot: Snapshot) -> str:
@@ -222,11 +219,11 @@ class PageTheme:
     def __init__(self, page: Page) -> None:
         self._gui = page.gui
         self._dark: bool | None = None
-        self._styles = HtmlBlock(page.gui, padded=False)
+        self._styles = add_html(page.gui, "")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the theme up to date."""
-        self._styles.show(page_style(view.dark, bottom_panel_height_px(view)))
+        set_props(self._styles, content=str(page_style(view.dark, bottom_panel_height_px(view))))
         if view.dark != self._dark:
             self._dark = view.dark
             self._gui.configure_theme(
@@ -350,7 +347,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         tour,
         reopened,
         strip,
-        ControlLock(page),
+        ControlNews(page),
         contact,
         viewpoint,
         drawing,

@@ -82,7 +82,7 @@ NEEDS_CONTROL = "data-needs-control"
 """Attribute of elements that move the rig, or change the plan, the dataset or the results."""
 
 
-NEEDS_ENGINEER, FOR_ENGINEERS = "data-needs-engineer", "wv-for-engineers"
+NEEDS_ENGINEER = "data-needs-engineer"
 """Attribute of elements that only an engineer may use, and class of the mark before such a group of buttons."""
 
 

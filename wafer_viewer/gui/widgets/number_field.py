@@ -1,20 +1,16 @@
-"""Optional numbers and pairs of numbers: text fields, because viser's number fields cannot be empty."""
+"""Texts of optional numbers and pairs of numbers, because viser's number fields cannot be empty."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar
 
-from wafer_viewer.gui.widgets.controls import Gui
 from wafer_viewer.model.acquisition.characteristics import FOCUS_RANGE_UM, KINDS, CalibrationOption
 from wafer_viewer.model.acquisition.positioners import ROLES, RoleOfPositioner
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.spec import settings_of
 
-T = TypeVar("T")
 Pair = tuple[float, float]
 SIDES, PLACE = " × ", ", "
 """Separator of two numbers: side lengths, or a position."""
@@ -63,58 +59,6 @@ EMPTY: dict[str, str] = {
     **dict.fromkeys(("From, µm", "To, µm"), "none: x, y"),
 }
 """Placeholder texts of optional fields by label: the effect of an empty field."""
-
-
-class _Optional(Generic[T]):
-    """A text field that holds a value, or None if it is empty.
-
-    Parameters
-    ----------
-    gui : viser.GuiApi
-        Parent of the field.
-    label : str
-        Name with the unit, ``Pixel, µm``; errors name the field by it.
-    value : T or None
-        Initial value.
-    read, write : callable
-        Conversion from and to text. `read` raises WaferViewerError for invalid text.
-    hint : str or None
-        Tooltip with details, and the effect of an empty field.
-    """
-
-    def __init__(
-        self,
-        gui: Gui,
-        label: str,
-        value: T | None,
-        read: Callable[[str], T | None],
-        write: Callable[[T | None], str],
-        hint: str | None,
-    ) -> None:
-        if label not in EMPTY:
-            raise ValueError(
-                f"The label {label!r} is missing in EMPTY: the page would not say what happens without it."
-            )
-        self.read, self._write = read, write
-        self.handle = gui.add_text(label, write(value), hint=hint)
-
-    @property
-    def value(self) -> T | None:
-        """Entered value, None if the field is empty. Raises WaferViewerError for invalid text."""
-        return self.read(self.handle.value)
-
-    @value.setter
-    def value(self, value: T | None) -> None:
-        self.handle.value = self._write(value)
-
-
-class OptionalNumber(_Optional[float]):
-    """An optional number; `limits` are those of `number_of`."""
-
-    def __init__(
-        self, gui: Gui, label: str, value: float | None = None, *, hint: str | None = None, **limits: Any
-    ) -> None:
-        super().__init__(gui, label, value, lambda text: number_of(text, label, **limits), text_of, hint)
 
 
 def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
@@ -88,3 +90,89 @@ def by_id(uuid: str) -> str:
 @cache
 def _page_css() -> str:
     return read_static(*SHEETS)
+
+
+# -------------------------------------------------------------------------------------------------------------- buttons
+
+
+TIGHT_ROW = 3
+"""Number of buttons in a row from which their labels get compact spacing."""
+
+
+def row_style(buttons: Sequence[Any], height_px: int, filled: Any = None) -> Markup:
+    """Return the styles that arrange adjacent buttons in a row of equal widths, all outlined except `filled`."""
+    gap_px = 6
+    width = f"calc((100% - 2*var(--mantine-spacing-xs) - {gap_px * (len(buttons) - 1)}px)/{len(buttons)})"
+    rules = "".join(
+        f"div:has(>{by_id(b._impl.uuid)}){{display:inline-block;vertical-align:top;width:{width};margin-right:0!important;"
+        f"margin-left:{'var(--mantine-spacing-xs)' if k == 0 else f'{gap_px}px'}!important}}"
+        + (_high(b, height_px) if b is filled else _outlined(b, height_px))
+        + (_tight(b) if len(buttons) >= TIGHT_ROW else "")
+        for k, b in enumerate(buttons)
+    )
+    return style_sheet(rules)
+
+
+def outlined_style(handle: Any, height_px: int = 36) -> Markup:
+    """Return the styles of a button with an outline."""
+    return style_sheet(_outlined(handle, height_px))
+
+
+def leading_style(handle: Any, height_px: int = 44, sticky: bool = True) -> Markup:
+    """Return the styles of a filled button."""
+    selector = by_id(handle._impl.uuid)
+    rules = (
+        f"{selector}{{height:{height_px}px!important}}{selector} .mantine-Button-label{{font-size:15.5px!important}}"
+    )
+    if sticky:
+        foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
+        rules += f"div:has(>{selector}){{{foot}}}div:has(>{selector})::before{{content:'';pointer-events:none;{_FADE}}}"
+        rules += f".mantine-ScrollArea-viewport:has({selector}){{scroll-padding-bottom:{height_px + _FOOT_PX}px}}"
+    return style_sheet(rules)
+
+
+_FOOT_PX = 74
+"""Height of the foot of a panel beside its button: padding, two lines above it, and the fade."""
+_FADE = "position:absolute;inset:auto 0 100%;height:14px;background:linear-gradient(transparent,var(--panel))"
+"""Rows fade out above the foot that covers them."""
+_LEAD_PX = 58
+"""Height of the leading button with its margins."""
+
+
+def at_foot_style(handle: Any) -> Markup:
+    """Return the styles that keep a button visible above the leading button while the panel scrolls."""
+    row = f"div:has(>{by_id(handle._impl.uuid)})"
+    sticks = f"position:sticky;bottom:{_LEAD_PX}px;z-index:4;padding-top:6px;background:var(--panel)"
+    fade = f"{row}::before{{content:'';pointer-events:none;{_FADE}}}"
+    return style_sheet(f"{row}{{{sticks};box-shadow:6px 0 0 var(--panel)}}{fade}")
+
+
+def _tight(handle: Any) -> str:
+    """Return compact styles for an icon and a label in a third of the left panel."""
+    selector = by_id(handle._impl.uuid)
+    label, sign = (
+        f"{selector} .mantine-Button-label{{font-size:12.5px}}",
+        f"{selector} .mantine-Button-section{{margin-inline-end:4px}}",
+    )
+    return f"{selector}{{padding:0 2px!important}}{label}{sign}"
+
+
+def _high(handle: Any, height_px: int) -> str:
+    return f"{by_id(handle._impl.uuid)}{{height:{height_px}px!important;padding:0 6px!important}}"
+
+
+def _outlined(handle: Any, height_px: int) -> str:
+    selector = by_id(handle._impl.uuid)
+    return (
+        f"{selector}{{height:{height_px}px!important;background:transparent!important;color:var(--ink)!important;"
+        f"border:1px solid var(--line)!important;padding:0 6px!important}}"
+        f"{selector}:hover{{background:var(--fill)!important}}{selector}[data-disabled]{{color:var(--ink3)!important}}"
+    )
+
+
+def chosen_style(mark: str, chosen: int) -> Markup:
+    """Return the styles of the button group after an element of a class: highlights a button by its place."""
+    group = f"div:has(>.{mark})+div button"
+    rest = "height:28px!important;border-color:var(--line)!important;color:var(--ink)!important"
+    this = "background:var(--accent)!important;color:var(--panel)!important;border-color:var(--accent)!important"
+    return style_sheet(f"{group}{{{rest}}}{group}:nth-child({chosen + 1}){{{this}}}")

@@ -22,7 +22,7 @@ from wafer_viewer.gui.page.panels import bottom_panel_height_px
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import LatestOnlyWorker, guarded
-from wafer_viewer.gui.widgets.controls import set_prop
+from wafer_viewer.gui.widgets.controls import set_props
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.acquisition.live_controller import LiveLook
@@ -102,7 +102,7 @@ class LivePicture:
             words = words_over(snapshot, self._page.session.live.look(), size, time.time())
             self._over = Html(_target(size), padded=False), Html(words, padded=False)
         self._draw()
-        set_prop(self._panel, "visible", view.at_bench)
+        set_props(self._panel, visible=view.at_bench)
 
     def _draw(self) -> None:
         frame = self._page.session.live.look().frame

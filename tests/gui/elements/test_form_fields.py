@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.gui.widgets import controls
-from wafer_viewer.gui.widgets.controls import QUIET_S, BoundInput
+from wafer_viewer.gui.elements import mount
+from wafer_viewer.gui.elements.elements import Number
+from wafer_viewer.gui.elements.mount import QUIET_S, InputWidget, _Placed
 
 
 @dataclass
@@ -18,6 +19,8 @@ class Handle:
     """A widget of viser's, as far as a field knows it."""
 
     value: float = 1.0
+    disabled: bool = False
+    visible: bool = True
     heard: list[Callable[[Any], None]] = field(default_factory=list)
 
     def on_update(self, hear: Callable[[Any], None]) -> None:
@@ -43,6 +46,12 @@ class Page:
     def tell(self, fault: Any) -> None:
         self.told.append(fault)
 
+    def settle(self, title: str) -> None:
+        pass
+
+    def locks(self, element: Any) -> bool:
+        return False
+
     def say(self, title: str, text: str, tone: Any = "good") -> None:
         self.told.append(title)
 
@@ -50,13 +59,31 @@ class Page:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     now = SimpleNamespace(s=100.0)
-    monkeypatch.setattr(controls.time, "monotonic", lambda: now.s)
+    monkeypatch.setattr(mount.time, "monotonic", lambda: now.s)
     return now
 
 
-def a_field(page: Page) -> tuple[BoundInput[float], Handle]:
+class Field:
+    """An input for a number on a page."""
+
+    def __init__(self, page: Page, handle: Handle) -> None:
+        self.put: list[float] = []
+        self._widget = InputWidget(
+            SimpleNamespace(add_number=lambda *_, **__: handle),  # pyright: ignore[reportArgumentType]
+            page,  # pyright: ignore[reportArgumentType]
+            _Placed((), self._element(1.0), 0.0, "The report was not changed"),
+        )
+
+    def _element(self, value: float) -> Number:
+        return Number("Length", value, self.put.append, "")
+
+    def show(self, value: float) -> None:
+        self._widget.show(self._element(value))
+
+
+def a_field(page: Page) -> tuple[Field, Handle]:
     handle = Handle()
-    return BoundInput(handle, lambda event: None, page, "The report was not changed"), handle
+    return Field(page, handle), handle
 
 
 def test_it_shows_what_the_session_has(clock: SimpleNamespace):
@@ -99,5 +126,5 @@ def test_what_was_put_in_is_not_shown_over_before_it_is_heard(clock: SimpleNames
     shown.show(2.0)
     assert handle.value == 5.0
     handle.tell()
-    assert shown.edited
+    assert shown.put == [5.0]
     assert handle.value == 5.0
