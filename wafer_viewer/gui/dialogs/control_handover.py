@@ -187,7 +187,7 @@ def _state(control: ControlState, browser: Browser, key: str) -> Markup:
     if not browser.present:
         return Markup('<span class="dim">disconnected</span>')
     if control.holds(key):
-        return Markup('<span class="wv-link" {}>Hand over</span>').format(html.pick("hands-to", browser.public_id))
+        return html.link("Hand over", "hands-to", browser.public_id)
     return Markup('<span class="dim">watches</span>')
 
 
@@ -206,10 +206,10 @@ def _strip(control: ControlState, key: str) -> Markup:
     if not control.holds(key):
         return _watching(control, key) + _WATCHING
     if control.role_of(key) is None:
-        link = Markup('<span class="wv-link" {}>Sign in…</span>').format(html.pick("sign-in"))
+        link = html.link("Sign in…", "sign-in")
         told = "Sign in to use the controls. Without that you may look, measure and stop all motion."
         return html.note("busy", "Nobody is signed in here.", told, link, html.icon(viser.Icon.USER, 18)) + _WATCHING
-    link = Markup('<span class="wv-link" {}>Sign out</span>').format(html.pick("sign-out"))
+    link = html.link("Sign out", "sign-out")
     title = f"{control.name_of(key)} is signed in as operator."
     changed = "changes plans, jobs, recipes, calibrations and verdicts"
     told = f"Released jobs may be run. {rule(changed, control.engineers)}"
@@ -224,7 +224,7 @@ def _watching(control: ControlState, key: str) -> Markup:
         )
     else:
         verb = "Ask for them" if control.holder else "Take them"
-        end = Markup('<span class="wv-link" {}>{}</span>').format(html.pick("hands-ask"), verb)
+        end = html.link(verb, "hands-ask")
     sign = html.icon(viser.Icon.EYE, 18)
     return html.note("busy", control.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
 

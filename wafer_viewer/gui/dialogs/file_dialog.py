@@ -456,7 +456,7 @@ def _remaining(listing: Listing) -> Markup:
     if remaining <= 0:
         return Markup()
     if len(listing.entries) < MOST_SHOWN:
-        more = Markup('<span class="wv-link" {}>Show more</span>').format(html.pick("file-more"))
+        more = html.link("Show more", "file-more")
         return Markup('<div class="wv-file-more">{} ({} left)</div>').format(more, number(remaining, 0))
     return Markup('<div class="wv-file-more">{} more: type the beginning of the name.</div>').format(
         number(remaining, 0)

@@ -220,7 +220,7 @@ class ImportDialog(FileDialog[_Form]):
     def _contents(self) -> Elements:
         look = self._ask_look()
         contents, options = self._found, self.own.options
-        other = Markup('<span class="wv-link" {}>Other files…</span>').format(html.pick("import-other"))
+        other = html.link("Other files…", "import-other")
         shown = _contents(self._look, options) if self._look is not None else Markup()
         return [
             Html(_sub(words.summary(contents), other) if contents is not None else _sub(FIRST_WORDS)),

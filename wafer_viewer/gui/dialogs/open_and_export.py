@@ -226,9 +226,7 @@ def _description(ending: str, every: int, size: tuple[int, int, float] | None) -
         pixel_um = number(size[2] * every, 3)
         written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
     loses = BY_SUFFIX[ending].loses or "The file holds all there is of the surface."
-    return Markup('<div class="wv-lab" style="margin-bottom:9px">{}</div>').format(
-        html.with_micro_sign(written + loses)
-    )
+    return html.remark(written + loses, "margin-bottom:9px")
 
 
 def _ending_of(field: int | None) -> str:

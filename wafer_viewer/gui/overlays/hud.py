@@ -95,7 +95,7 @@ def read_out(here: Here[Clicked]) -> Overlay | None:
         return None
     read = here.ask("read-out", own, partial(_read, here.page, view, own.place_um), "The surface was not read")
     text = read.value if read.value is not None else escape(read.problem)
-    link = Markup('<span class="wv-link" title="Key C" {}>Why this height?</span>').format(html.pick("why"))
+    link = html.link("Why this height?", "why", title="Key C")
     shown = text and Markup('<div class="wv-glass wv-read">{}{}</div>').format(text, "" if view.explains else link)
     y_px = -(EDGE_PX + bottom_panel_height_px(view))
     return Overlay.of(shown, -EDGE_PX, y_px, 420, READ_OUT_PX, at_right=True)

@@ -22,7 +22,7 @@ from wafer_viewer.gui.state.view_state import BrowserIdentity, ColourBy, Remembe
 from wafer_viewer.gui.widgets.ask import Ask
 from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import add_html
-from wafer_viewer.gui.widgets.html import Tone, icon, note, pick, read_picks, with_micro_sign
+from wafer_viewer.gui.widgets.html import Tone, icon, link, note, read_picks, with_micro_sign
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.roles import role_for
 from wafer_viewer.model.surface.clipping import Box
@@ -349,7 +349,7 @@ class Page:
 
 def _note(fault: Fault) -> Markup:
     sign = icon(viser.Icon.ALERT_CIRCLE if fault.needs_person else viser.Icon.ALERT_TRIANGLE, 18)
-    away = Markup('<span class="wv-link" {}>dismiss</span>').format(pick("dismiss", fault.id))
+    away = link("dismiss", "dismiss", fault.id)
     where = f"{fault.at} · {fault.where} · " if fault.where else f"{fault.at} · "
     return note("fault" if fault.needs_person else "attention", fault.title, fault.text, where + away, sign)
 

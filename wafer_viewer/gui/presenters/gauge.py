@@ -261,9 +261,7 @@ def correction(offered: ScaleCorrection | None) -> Markup:
         return Markup()
     by = with_unit(offered.changes_um, 3, signed=True)
     pairs = [("Certified over measured", number(offered.factor, 6)), ("The checked step would change by", by)]
-    advice = Markup('<div class="wv-lab" style="margin:4px 0 6px">{}</div>').format(
-        html.with_micro_sign(offered.advice)
-    )
+    advice = html.remark(offered.advice, "margin:4px 0 6px")
     return html.head("z scale", "nothing changes automatically") + html.pairs(pairs) + advice
 
 

@@ -123,7 +123,7 @@ def _line(look: str, icon: object, name: str, right: str) -> Markup:
 
 
 def _toggle(what: str, words: str) -> Markup:
-    return Markup('<span class="wv-link" {}>{}</span>').format(html.pick("import-toggle", what), words)
+    return html.link(words, "import-toggle", what)
 
 
 def frames_html(contents: FileContents, thumbnails: Mapping[int, bytes]) -> Markup:

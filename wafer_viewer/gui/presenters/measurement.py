@@ -311,7 +311,7 @@ def not_evaluated(finding: AnyResult) -> Markup:
 
 def small(line: str) -> Markup:
     """Return a sentence in small type."""
-    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(line))
+    return html.remark(line, "margin-top:4px")
 
 
 def _grouped(given: Sequence[Row]) -> Markup:
@@ -349,9 +349,7 @@ def head(
         Markup('<span class="wv-curve-note">{}</span>').format(html.with_micro_sign(text)) for text in problems
     )
     waits = Markup('<span class="dim">{}</span>').format(WAITS) if not sections and not problems else Markup()
-    zoom_out = (
-        Markup('<span class="wv-link" {}>Whole line</span>').format(html.pick("plot", "whole")) if zoomed else Markup()
-    )
+    zoom_out = html.link("Whole line", "plot", "whole") if zoomed else Markup()
     name = "Section" if any(s.points is not None for s in own.values()) else "Profile"
     return Markup(
         '<div class="wv-dock wv-lines{crowded}"><b>{name}</b>{lines}{seconds}{notes}{waits}'

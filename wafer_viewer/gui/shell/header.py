@@ -356,6 +356,6 @@ def _words(snapshot: Snapshot, view: View) -> Markup:
     data = snapshot.dataset
     name = sample(job_shown(snapshot, view))[0] or (data.path.stem if data is not None else "an unfinished plan")
     text = f"Reopened from last time: {name}. Another sample may be on the stage now."
-    yes = Markup('<span class="wv-link" {}>It is this sample</span>').format(html.command_pick("confirm-sample"))
+    yes = html.command_link("It is this sample", "confirm-sample")
     sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
     return html.note("attention", "Nothing moves before you confirm the sample", text, yes, sign)

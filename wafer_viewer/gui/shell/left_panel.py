@@ -464,11 +464,9 @@ def frames_card(snapshot: Snapshot) -> Markup:
     told, link = entry.frames or "frames kept for ever", Markup()
     if data.held:
         told = f"held by {data.held}"
-        link = Markup('<span class="wv-link" {}>End hold…</span>').format(
-            html.command_pick("hold-end", action="Hold ended")
-        )
+        link = html.command_link("End hold…", "hold-end", action="Hold ended")
     elif entry.frames != REMOVED and data.read_only is None:
-        link = Markup('<span class="wv-link" {}>Hold…</span>').format(html.command_pick("hold"))
+        link = html.command_link("Hold…", "hold")
     return Markup('<div class="wv-lab" style="padding:0 6px 8px"><b>{}</b>: {} {}</div>').format(
         data.path.stem, told, link
     )

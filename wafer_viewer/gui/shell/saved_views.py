@@ -136,10 +136,8 @@ def views_html(snapshot: Snapshot, view: View) -> Markup:
     rows = [_row(saved, snapshot.dataset.path.name) for saved in state.book.views]
     listed = html.table([], rows) if rows else ""
     undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
-    undo = Markup('<span class="wv-link" {}>undo</span>').format(html.command_pick("view-undo")) if undone else Markup()
-    save = Markup('<span class="wv-link" title="Key Shift + 0" {}>Save view…</span>').format(
-        html.command_pick("view-save")
-    )
+    undo = html.command_link("undo", "view-undo") if undone else Markup()
+    save = html.command_link("Save view…", "view-save", title="Key Shift + 0")
     title = "3000 px wide, with scale and colours · Key P"
     picture = Markup('<span class="wv-link" title="{}" {}>Picture</span>').format(title, html.pick("picture"))
     foot = Markup('<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{}{}{}</div>').format(

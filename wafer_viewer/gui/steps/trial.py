@@ -70,7 +70,7 @@ def _word(word: Word | None) -> Markup:
 
 def _left_out(item: NotTried) -> Markup:
     words = f"{item.dataset} was not judged. {item.why}"
-    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(words))
+    return html.remark(words, "margin-top:4px")
 
 
 def trial_is_old(now: Snapshot) -> bool:

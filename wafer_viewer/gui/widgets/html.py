@@ -104,9 +104,10 @@ def head(text: str, detail: str = "", first: bool = False) -> Markup:
     return Markup('<div class="wv-h{}">{}<span>{}</span></div>').format(" first" if first else "", text, detail)
 
 
-def link(text: str, what: str, key: object = "") -> Markup:
-    """Return a link that picks `key` of `what`."""
-    return Markup('<span class="wv-link" {}>{}</span>').format(pick(what, key), text)
+def link(text: str, what: str, key: object = "", title: str = "") -> Markup:
+    """Return a link that picks `key` of `what`; title: its tooltip."""
+    named = Markup(' title="{}"').format(title) if title else Markup()
+    return Markup('<span class="wv-link"{} {}>{}</span>').format(named, pick(what, key), text)
 
 
 def command_link(text: str, what: str, key: object = "", action: Action | None = None, title: str = "") -> Markup:
@@ -133,9 +134,11 @@ def title_action(text: str, attributes: Markup, title: str = "", possible: bool 
     return Markup('<span class="wv-action{}"{} {}>{}</span>').format("" if possible else " off", named, state, text)
 
 
-def remark(text: str) -> Markup:
-    """Return a line of small grey text; an empty text has none."""
-    return Markup('<div class="wv-lab">{}</div>').format(text) if text else Markup()
+def remark(text: str, style: str = "") -> Markup:
+    """Return a line of small grey text; an empty text has none. style: its margins, in CSS."""
+    words = text if isinstance(text, Markup) else with_micro_sign(text)
+    look = Markup(' style="{}"').format(style) if style else Markup()
+    return Markup('<div class="wv-lab"{}>{}</div>').format(look, words) if text else Markup()
 
 
 def why_not(reason: str | None, look: str = "") -> Markup:

@@ -66,7 +66,7 @@ def study(studied: Studied) -> Markup:
     """Return study size, verdict, every standard deviation with its limits and share, charts, and the analysis."""
     found = studied.found
     by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
-    notes = Markup("").join(_small(text) for text in found.notes)
+    notes = Markup("").join(html.remark(text, "margin-top:4px") for text in found.notes)
     parts = (
         Markup('<div class="wv-lab" title="{by}">{by}</div>').format(by=by),
         _study_size(found),
@@ -113,8 +113,8 @@ def _rest(study: GaugeRR) -> Markup:
         pairs.append(("Gauge R&R, 95 % limits", f"{number(limits.low, 4)} to {number(limits.high, 4)}"))
     if study.interaction_p is not None:
         pairs.append(("p of parts with appraisers", number(study.interaction_p, 3)))
-    return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + _small(
-        "Shares are of deviations, and do not sum up to 100 %."
+    return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + html.remark(
+        "Shares are of deviations, and do not sum up to 100 %.", "margin-top:4px"
     )
 
 
@@ -135,7 +135,3 @@ def _analysis(study: GaugeRR) -> Markup:
         for row in study.anova
     ]
     return html.head("Analysis of variance") + html.table(["", "ν", "Mean square", "F", "p"], rows, " nnnn")
-
-
-def _small(text: str) -> Markup:
-    return Markup('<div class="wv-lab" style="margin-top:4px">{}</div>').format(html.with_micro_sign(text))

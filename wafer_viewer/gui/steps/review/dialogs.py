@@ -74,7 +74,7 @@ def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     compared = tuple(defect for defect in defects if defect.kind != "unmeasured")
     rest = other.unmatched(compared)
     both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)
-    away = Markup('<span class="wv-link" {}>Remove overlay</span>').format(html.pick("defect-other-away"))
+    away = html.link("Remove overlay", "defect-other-away")
     head = Markup('<div class="wv-h">{}<span>{}</span></div>').format(other.name, away)
     simulated = "SIMULATED. " if other.klarf.simulated else ""
     summary = (
@@ -82,12 +82,14 @@ def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
         f"{len(compared) - both} found here {'is' if len(compared) - both == 1 else 'are'} not in the file. "
         f"The same within {number(other.within_um, 0)} µm; {other.by}."
     )
-    notes = Markup("").join(_klarf_heading(note) for note in other.klarf.notes)
-    more = _klarf_heading(f"{len(rest) - MOST_ROWS} more on the map.") if len(rest) > MOST_ROWS else ""
+    notes = Markup("").join(html.remark(note, "margin-bottom:5px") for note in other.klarf.notes)
+    more = (
+        html.remark(f"{len(rest) - MOST_ROWS} more on the map.", "margin-bottom:5px") if len(rest) > MOST_ROWS else ""
+    )
     rows = [_klarf_row(defect) for defect, _ in rest[:MOST_ROWS]]
     table = html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else ""
     return Markup('{head}{lab}{notes}{table}{more}<div style="height:8px"></div>').format(
-        head=head, lab=_klarf_heading(summary), notes=notes, table=table, more=more
+        head=head, lab=html.remark(summary, "margin-bottom:5px"), notes=notes, table=table, more=more
     )
 
 
@@ -106,10 +108,6 @@ def _box_around(bounds: Box, least_um: float) -> Box:
 
 def _counted(n: int, what: str) -> str:
     return f"1 {what}" if n == 1 else f"{number(n, 0)} {what}s"
-
-
-def _klarf_heading(text: str) -> Markup:
-    return Markup('<div class="wv-lab" style="margin-bottom:5px">{}</div>').format(html.with_micro_sign(text))
 
 
 # ------------------------------------------------------------------------------------------------------- defect dialogs
@@ -167,7 +165,7 @@ def export_defects_dialog(page: Page) -> None:
 
     def contents(here: FileDialog[str]) -> Elements:
         kind = Dropdown("Format", here.own, partial(choose, here), FORMAT_HINT, options=tuple(FORMATS))
-        return [*here.files(), kind, Html(_lab(LOSES[FORMATS[here.own][0]]))]
+        return [*here.files(), kind, Html(html.remark(LOSES[FORMATS[here.own][0]], "margin-bottom:9px"))]
 
     def write(here: FileDialog[str]) -> None:
         what, target = FORMATS[here.own][0], here.target()
@@ -232,7 +230,10 @@ def golden_dialog(page: Page) -> None:
         page.ask(NOT_GOLDEN, done, lambda out: page.say("Golden die kept", str(out)))
 
     def fields(here: Dialog[_Named]) -> Elements:
-        return [*form(here.own, here.put, "name"), Html(_lab(_next_version(page, here.own.name.strip())))]
+        return [
+            *form(here.own, here.put, "name"),
+            Html(html.remark(_next_version(page, here.own.name.strip()), "margin-bottom:9px")),
+        ]
 
     named = next((header.name for header in files.golden if product and header.product == product), product)
     answer = Answer("Keep", viser.Icon.CHECK, keep, NOT_GOLDEN)
@@ -284,7 +285,8 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
 def recipes_dialog(page: Page) -> None:
     """Open the dialog that lists the saved recipes, to rename or delete them."""
     files = page.session.snapshot.defect_files
-    listed = recipe_table(files.recipes) + _lab("") + Markup("").join(map(_lab, files.problems))
+    problems = (html.remark(text, "margin-bottom:9px") for text in files.problems)
+    listed = Markup("").join((recipe_table(files.recipes), *problems))
 
     def choose(change: Callable[[Page, DefectRecipe], None], here: Dialog[None], key: str) -> None:
         here.close()
@@ -345,10 +347,6 @@ def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
 def _next_version(page: Page, name: str) -> str:
     versions = [header.version for header in page.session.snapshot.defect_files.golden if header.name == name]
     return f"It will be version {max(versions, default=0) + 1}." if name else ""
-
-
-def _lab(text: str) -> Markup:
-    return Markup('<div class="wv-lab" style="margin-bottom:9px">{}</div>').format(html.with_micro_sign(text))
 
 
 @dataclass(frozen=True, slots=True)

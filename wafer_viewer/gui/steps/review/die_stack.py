@@ -75,7 +75,7 @@ def head(inspection: Inspection) -> Markup:
     """Return the header with title and close link as HTML."""
     n_complete = sum(die.state == "whole" for die in inspection.dies)
     name = f"All {n_complete} whole dies overlaid" if n_complete else "All dies overlaid"
-    away = Markup('<span class="wv-link" {}>Close · Esc</span>').format(html.pick("sheet", "beside"))
+    away = html.link("Close · Esc", "sheet", "beside")
     return Markup('<div class="wv-over-head" style="height:{}px"><b>{}</b><span>{}</span></div>').format(
         HEAD_PX, name, away
     )

@@ -94,22 +94,22 @@ def golden_table(files: DefectFilesState, product: str, chosen: str) -> Markup:
     if not mine:
         return (
             html.empty("No golden die is kept", "compare with the fitted form, or die to die.")
-            + _lab(others_text)
+            + html.remark(others_text)
             + link
         )
     rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
     hidden = f"{len(mine) - MOST_GOLDEN} older ones" if len(mine) > MOST_GOLDEN else ""
     more = " and ".join(part for part in (hidden, others_text) if part)
     return (
-        html.table(["Golden die", "Dies", "Kept"], rows, " nn") + _lab(f"{more} are not listed." if more else "") + link
+        html.table(["Golden die", "Dies", "Kept"], rows, " nn")
+        + html.remark(f"{more} are not listed." if more else "")
+        + link
     )
 
 
 def advanced_settings_header(form: DefectForm, unfolded: bool) -> Markup:
     """Return the header of the additional settings as HTML, with a summary while they are folded."""
-    link = Markup('<span class="wv-link" {}>{}</span>').format(
-        html.pick("defect-more"), "Less" if unfolded else "Change…"
-    )
+    link = html.link("Less" if unfolded else "Change…", "defect-more")
     if unfolded:
         return Markup('<div class="wv-h">More settings<span>{}</span></div>').format(link)
     limits = [f"{text} {unit}" for name, unit in LIMITS.items() if (text := getattr(form, name))]
@@ -125,7 +125,7 @@ def advanced_settings_header(form: DefectForm, unfolded: bool) -> Markup:
 
 def exclusion_line_html(form: DefectForm) -> Markup:
     """Return the form's line about excluded areas, with a link to edit them, as HTML."""
-    link = Markup('<span class="wv-link" {}>Areas…</span>').format(html.pick("defect-excluded"))
+    link = html.link("Areas…", "defect-excluded")
     text = areas(form)
     return Markup('<div class="wv-lab" style="margin:2px 0 6px">{}{} · {}</div>').format(
         text[0].upper(), text[1:], link
@@ -172,10 +172,6 @@ def _expected_count_text(count: float) -> str:
     return number(round(count, 1 - math.floor(math.log10(count))), 0)
 
 
-def _lab(text: str) -> Markup:
-    return Markup('<div class="wv-lab">{}</div>').format(text) if text else Markup()
-
-
 NOT_SAVED = "not kept"
 FAILED, NOT_LIMITED = "Inspection failed", "The limits were not changed"
 
@@ -212,14 +208,14 @@ def inspection_form(here: Here[D]) -> Elements | None:
     begin = Button("Inspect", partial(inspect, here), icon.SEARCH, disabled=bool(why), commands=True, failed=FAILED)
     kept_hint = "Saved by product; the one saved last is applied automatically"
     return [
-        Html(_label(origin)),
+        Html(html.remark(origin, "margin-bottom:5px")),
         *_inputs(here, "sensitivity"),
-        Html(_label(expectation(form.sensitivity, state.inspection))),
+        Html(html.remark(expectation(form.sensitivity, state.inspection), "margin-bottom:5px")),
         *_inputs(here, "compare"),
         Html(golden),
         Html(advanced_settings_header(form, here.own.shows_more)),
         Stack(_more(here)) if here.own.shows_more else None,
-        Html(_label(why) if why else ""),
+        Html(html.remark(why, "margin-bottom:5px") if why else ""),
         Buttons([begin], 34),
         Html(html.head("Recipe")),
         Dropdown("Kept as", saved_as, partial(_choose_recipe, here), kept_hint, options=names),
@@ -377,7 +373,3 @@ def _described(here: Here[D]) -> tuple[str, str]:
         return str(fault), NOT_SAVED
     origin = f"{recipe_origin_text(own.recipe, now, files, inspected)} {unreadable(files)}".rstrip()
     return origin, now.name if now in files.recipes else NOT_SAVED
-
-
-def _label(text: str) -> Markup:
-    return Markup('<div class="wv-lab" style="margin-bottom:5px">{}</div>').format(html.with_micro_sign(text))

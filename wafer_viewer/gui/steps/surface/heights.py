@@ -190,7 +190,7 @@ def _head(view: View) -> Markup:
         return html.head("Heights", Markup("Drag to brush, or {}").format(html.link("type", "brush")))
     low, high = view.brush_um
     words = f"{number(low, 2, signed=True)} … {with_unit(high, 2, signed=True)}"
-    clear = Markup('<span class="wv-link" title="Key Escape" {}>Clear</span>').format(html.pick("unbrush"))
+    clear = html.link("Clear", "unbrush", title="Key Escape")
     sign = Markup('<i class="wv-swatch-brush"></i> Brushed')
     return Markup('<div class="wv-h"><b>{}</b><span>{} &ensp;{}</span></div>').format(sign, words, clear)
 
