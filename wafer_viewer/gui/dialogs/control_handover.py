@@ -9,7 +9,7 @@ from functools import partial
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, Dialog
+from wafer_viewer.gui.dialogs.dialog import WAIT_S, Confirm, Dialog
 from wafer_viewer.gui.elements.elements import Elements, Html, Text
 from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.page.page import Page, restrictions
@@ -118,7 +118,7 @@ def sign_in_dialog(page: Page) -> None:
             page.ask(NOT_HANDED_OVER, page.session.control.ask(key))
 
     below = "Operators run released jobs; engineers may do everything. The audit log names who was signed in."
-    answer = Answer("Sign in", viser.Icon.LOGIN, done, "Nobody was signed in", commands=False)
+    answer = Confirm("Sign in", viser.Icon.LOGIN, done, "Nobody was signed in", commands=False)
     Dialog(page, "Sign in", below, answer, _SignIn(), contents)
 
 
@@ -153,10 +153,10 @@ def control_dialog(page: Page) -> None:
 
     below = "One holds the controls; all may look, measure and stop all motion."
     if holds:
-        answer = Answer("Done", viser.Icon.CHECK, done, "The name was not changed", commands=False)
+        answer = Confirm("Done", viser.Icon.CHECK, done, "The name was not changed", commands=False)
     else:
         verb = "Ask for control" if control.holder else "Take control"
-        answer = Answer(verb, viser.Icon.HAND_STOP, done, NOT_HANDED_OVER, commands=False)
+        answer = Confirm(verb, viser.Icon.HAND_STOP, done, NOT_HANDED_OVER, commands=False)
     picks = {"hands-to": pass_on, "to-sign": sign}
     Dialog(page, "Connected browsers", below, answer, control.name_of(key), contents, picks)
 

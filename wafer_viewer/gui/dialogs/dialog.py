@@ -36,7 +36,7 @@ class KeepOpen(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Confirm:
     """Confirming button of a dialog.
 
     act: gets the dialog; the dialog stays open and shows an error that it raises, and closes otherwise. A session
@@ -67,7 +67,7 @@ class Dialog(Here[C]):
         Page that the dialog lies on.
     title, below : str
         Heading and the sentence below it.
-    answer : Answer or None
+    answer : Confirm or None
         Confirming button; without it the dialog informs, and has one button that closes it.
     own : Spec or dataclass
         Initial value of what the dialog holds.
@@ -82,7 +82,7 @@ class Dialog(Here[C]):
         page: Page,
         title: str,
         below: str,
-        answer: Answer | None,
+        answer: Confirm | None,
         own: C = None,
         contents: Callable[[Any], Elements] = fields_of,
         picks: dict[str, Callable[[Any, str], Any]] | MappingProxyType[str, Any] = MappingProxyType({}),
@@ -115,7 +115,7 @@ class Dialog(Here[C]):
             contents = self._contents(self)
             self._mount.show([Html(below), *contents, Html(fault if self._problem else ""), foot])
 
-    def button(self, answer: Answer) -> Button:
+    def button(self, answer: Confirm) -> Button:
         """Return the confirming button as it is now."""
         return Button(answer.label, self._act, answer.icon, "leading", commands=answer.commands, failed=answer.failed)
 
@@ -164,12 +164,12 @@ class Dialog(Here[C]):
         return outcome
 
 
-def ask(page: Page, title: str, below: str, answer: Answer) -> None:
+def ask(page: Page, title: str, below: str, answer: Confirm) -> None:
     """Ask before something is done."""
     Dialog(page, title, below, answer, None)
 
 
-def ask_text(page: Page, title: str, below: str, field: tuple[str, str, str], answer: Answer) -> None:
+def ask_text(page: Page, title: str, below: str, field: tuple[str, str, str], answer: Confirm) -> None:
     """Ask for a line of text, which the dialog holds. field: label, first value and tooltip."""
     label, value, hint = field
     Dialog(page, title, below, answer, value, lambda here: [Text(label, here.own, here.hold, hint)])
@@ -177,7 +177,7 @@ def ask_text(page: Page, title: str, below: str, field: tuple[str, str, str], an
 
 def ask_name(page: Page, title: str, below: str, old: str, rename: Callable[[str], Any]) -> None:
     """Ask for another name of something."""
-    answer = Answer("Rename", viser.Icon.PENCIL, lambda here: rename(here.own), "The name was not changed")
+    answer = Confirm("Rename", viser.Icon.PENCIL, lambda here: rename(here.own), "The name was not changed")
     ask_text(page, title, below, ("Name", old, "Name in lists, exports and reports"), answer)
 
 
@@ -217,7 +217,7 @@ def sign_dialog(
             raise WaferViewerError("The signature is missing: type your name.")
         act(here.own.name.strip(), here.own.reason.strip()).result(WAIT_S)
 
-    Dialog(page, title, below, Answer(*verb, sign, failed), Signature(page.browser.name or name), contents)
+    Dialog(page, title, below, Confirm(*verb, sign, failed), Signature(page.browser.name or name), contents)
 
 
 def confirm_overwrite(page: Page, path: Path, write: Callable[[], Any]) -> None:
@@ -227,4 +227,4 @@ def confirm_overwrite(page: Page, path: Path, write: Callable[[], Any]) -> None:
         return
     below = f"It is in {path.parent} already; its contents will be lost; this cannot be undone."
     title = f"Replace {path.name}"
-    ask(page, f"{title}?", below, Answer(title, viser.Icon.REPLACE, lambda _: write(), "Nothing was replaced", False))
+    ask(page, f"{title}?", below, Confirm(title, viser.Icon.REPLACE, lambda _: write(), "Nothing was replaced", False))

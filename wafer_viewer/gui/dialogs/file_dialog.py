@@ -20,7 +20,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import format_time, number, size
-from wafer_viewer.gui.dialogs.dialog import Answer, Dialog, KeepOpen, confirm_overwrite
+from wafer_viewer.gui.dialogs.dialog import Confirm, Dialog, KeepOpen, confirm_overwrite
 from wafer_viewer.gui.elements.elements import Elements, Html, Text, Upload
 from wafer_viewer.gui.elements.step import C
 from wafer_viewer.gui.incoming import MOST_UPLOAD_BYTES
@@ -73,7 +73,7 @@ class FileDialog(Dialog[C]):
         page: Page,
         title: str,
         below: str,
-        answer: Answer,
+        answer: Confirm,
         kind: KindName,
         own: C = None,
         contents: Callable[[Any], Elements] | None = None,

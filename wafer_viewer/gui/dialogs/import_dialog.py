@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.dialogs.dialog import Answer
+from wafer_viewer.gui.dialogs.dialog import Confirm
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.dialogs.open_and_export import SHOW_SURFACE, open_surface
 from wafer_viewer.gui.elements.elements import Button, Dropdown, Elements, Fold, Html, Input, NumberOrEmpty
@@ -20,7 +20,7 @@ from wafer_viewer.gui.elements.form import spec_input
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters import import_contents as words
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.gui.widgets.ask import Answer as Looked
+from wafer_viewer.gui.widgets.ask import Answer
 from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded
 from wafer_viewer.model.acquisition.image_source import ImageOptions, Mirror
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
@@ -84,7 +84,7 @@ class ImportDialog(FileDialog[_Form]):
         self._work_id = ""
         self._stop: Callable[[], None] = lambda: None
         self._rested = Debouncer(self._take_files, guarded(page, FAILED), PAUSE_S)
-        answer = Answer("Import", viser.Icon.PHOTO_PLUS, ImportDialog._import, "Import stopped")
+        answer = Confirm("Import", viser.Icon.PHOTO_PLUS, ImportDialog._import, "Import stopped")
         title, contents = "Import images or a surface", ImportDialog._contents
         super().__init__(page, title, "", answer, "images", _Form(), contents, rows=6)
         page.on_pick("import-toggle", self._toggle)
@@ -174,7 +174,7 @@ class ImportDialog(FileDialog[_Form]):
     def _found(self) -> FileContents | None:
         return None if self._look is None else self._look.contents
 
-    def _ask_look(self) -> Looked[ImportLook]:
+    def _ask_look(self) -> Answer[ImportLook]:
         """Return the newest look at the files, and begin another one if they or the values have changed."""
         asked, fault = None, self._fault
         try:
@@ -186,7 +186,7 @@ class ImportDialog(FileDialog[_Form]):
             self._asked = asked
         if asked is None or fault:
             self._is_current = False
-            return Looked(self._look, fault)
+            return Answer(self._look, fault)
         look = partial(self._look_at, asked) if self._sources else None
         answer = self.ask("files to import", asked, look, FAILED, about=(self, self._sources))
         self._look = answer.value if answer.value is not None or not answer.problem else self._look
@@ -242,7 +242,7 @@ class ImportDialog(FileDialog[_Form]):
             contents, out, words.command_line(sources, options, reading, out, is_tiled=contents.is_tiled)
         )
 
-    def button(self, answer: Answer) -> Button:
+    def button(self, answer: Confirm) -> Button:
         """Return the confirming button, which names a gap and is off while something has to be settled."""
         label = words.button_words(self._found, self.own.options)
         off = self._is_current and bool(words.why_not(self._found))

@@ -14,7 +14,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import format_time, number
-from wafer_viewer.gui.dialogs.dialog import Answer, Dialog
+from wafer_viewer.gui.dialogs.dialog import Confirm, Dialog
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import Dropdown, Elements, Html, Number
 from wafer_viewer.gui.page.page import Page
@@ -104,7 +104,7 @@ def open_dialog(page: Page) -> None:
             open_dataset(page, path)
 
     below = f"A dataset NAME.wafer, or a surface file ({READ_FILES})."
-    answer = Answer("Open", ICON.FOLDER_OPEN, begin, "The dataset was not opened")
+    answer = Confirm("Open", ICON.FOLDER_OPEN, begin, "The dataset was not opened")
     FileDialog(page, "Open a dataset", below, answer, "dataset", rows=9)
 
 
@@ -141,13 +141,15 @@ def save_dialog(
     def save(here: FileDialog[None]) -> None:
         here.write_to(here.target(), begin)
 
-    FileDialog(page, title, about, Answer("Save", ICON.DEVICE_FLOPPY, save, failed, commands=False), "any", saving=name)
+    FileDialog(
+        page, title, about, Confirm("Save", ICON.DEVICE_FLOPPY, save, failed, commands=False), "any", saving=name
+    )
 
 
 def load_plan_dialog(page: Page) -> None:
     """Open the dialog that loads a plan from its file."""
     below, failed = "A file PLAN.toml, as Save plan… writes it.", "The plan was not loaded"
-    answer = Answer("Load", ICON.FOLDER_OPEN, lambda here: page.session.load_plan(here.path()), failed)
+    answer = Confirm("Load", ICON.FOLDER_OPEN, lambda here: page.session.load_plan(here.path()), failed)
     FileDialog(page, "Load a plan", below, answer, "plan")
 
 
@@ -206,7 +208,7 @@ def export_dialog(page: Page) -> None:
 
     own = _Export(next(iter(WRITTEN_TITLES)))
     name = f"{data.path.stem if data else 'surface'}{_ending_of(field)}{own.ending}"
-    answer, below = Answer("Export", ICON.DOWNLOAD, write, NOT_EXPORTED, commands=False), surface_name(page.view)
+    answer, below = Confirm("Export", ICON.DOWNLOAD, write, NOT_EXPORTED, commands=False), surface_name(page.view)
     FileDialog(page, "Export the surface", f"Writes: {below}.", answer, "any", own, contents, rows=6, saving=name)
 
 

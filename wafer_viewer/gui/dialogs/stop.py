@@ -5,7 +5,7 @@ from __future__ import annotations
 import viser
 
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.dialogs.dialog import Answer, Dialog
+from wafer_viewer.gui.dialogs.dialog import Confirm, Dialog
 from wafer_viewer.gui.elements.elements import Elements
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.session.state.snapshot import FieldState, OpenDataset, RigStatus, Snapshot
@@ -53,7 +53,7 @@ def _ask_what_next(page: Page, data: OpenDataset) -> None:
         return ()
 
     go_on, failed = lambda _: page.session.continue_scan(), "The scan did not continue"
-    answer = Answer("Continue the scan", viser.Icon.PLAYER_PLAY, go_on, failed, away="End the scan")
+    answer = Confirm("Continue the scan", viser.Icon.PLAYER_PLAY, go_on, failed, away="End the scan")
     Dialog(page, "The scan is stopped", text, answer, None, close_when_settled)
 
 

@@ -29,7 +29,7 @@ from wafer_viewer.draw.charts.wafer_map import (
 )
 from wafer_viewer.draw.colormaps import BRUSH
 from wafer_viewer.draw.number_format import format_time, number
-from wafer_viewer.gui.dialogs.dialog import REASON, Answer, ask, ask_text
+from wafer_viewer.gui.dialogs.dialog import REASON, Confirm, ask, ask_text
 from wafer_viewer.gui.dialogs.import_dialog import import_dialog, take_drops
 from wafer_viewer.gui.dialogs.open_and_export import open_dataset, open_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Text
@@ -357,7 +357,7 @@ def _fly(scene: MapState, x_um: float, y_um: float) -> None:
 def _ask_to_move(page: Page, x_um: float, y_um: float) -> None:
     place = f"X {number(x_um / 1000, 4, signed=True)}, Y {number(y_um / 1000, 4, signed=True)} mm"
     below = f"To {place}. Z does not change: check that nothing is in the way."
-    answer = Answer("Move there", ICON.CROSSHAIR, lambda _: page.session.move_to(x_um=x_um, y_um=y_um), NOT_MOVED)
+    answer = Confirm("Move there", ICON.CROSSHAIR, lambda _: page.session.move_to(x_um=x_um, y_um=y_um), NOT_MOVED)
     ask(page, "Move the stage?", below, answer)
 
 
@@ -408,7 +408,7 @@ def hold_dialog(page: Page, *, end: bool) -> None:
     title, icon = ("End the hold", ICON.LOCK_OPEN) if end else ("Hold the frames", ICON.LOCK)
     verb = page.session.end_hold if end else page.session.hold_frames
     failed = "The hold was not ended" if end else "The frames are not held"
-    hold = Answer(title, icon, lambda here: verb(here.own).result(HOLD_S), failed)
+    hold = Confirm(title, icon, lambda here: verb(here.own).result(HOLD_S), failed)
     ask_text(page, title, below, ("Reason", "", REASON), hold)
 
 

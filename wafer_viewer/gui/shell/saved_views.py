@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.dialogs.dialog import Answer, ask_name, ask_text
+from wafer_viewer.gui.dialogs.dialog import Confirm, ask_name, ask_text
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import not_on_defect, surface_not_shown
 from wafer_viewer.gui.scene.camera_presets import CameraPose
@@ -65,7 +65,7 @@ class SavedViews:
         view, verb, field = page.view, page.session.notebook.save_view, "Without a name it is called by its number"
         below = "Kept with the dataset: every browser can come back to it."
         save = lambda dialog: verb(saved(view, pose, dialog.own))  # noqa: E731 - short
-        answer = Answer("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
+        answer = Confirm("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
         ask_text(page, "Save view", below, ("Name", "", field), answer)
 
     def go_to(self, number: int) -> None:

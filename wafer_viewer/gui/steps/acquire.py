@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.draw.surface.display_style import eight_bit
-from wafer_viewer.gui.dialogs.dialog import Answer, ask
+from wafer_viewer.gui.dialogs.dialog import Confirm, ask
 from wafer_viewer.gui.dialogs.stop import NOT_STOPPED, stop
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Picture, Progress, Stack
 from wafer_viewer.gui.elements.step import Here
@@ -71,7 +71,7 @@ def retake(page: Page) -> None:
         page.ask(NOT_RETAKEN, page.session.continue_scan(), lambda _: page.change(step="acquire"))
 
     below = f"{damage_sentence(data.damaged)} {_sample(data)} must lie on the stage as it did for the scan."
-    ask(page, "Take damaged frames again?", below, Answer("Take them again", ICON.REFRESH, again, NOT_RETAKEN))
+    ask(page, "Take damaged frames again?", below, Confirm("Take them again", ICON.REFRESH, again, NOT_RETAKEN))
 
 
 def why_not_retaken(snapshot: Snapshot) -> str | None:

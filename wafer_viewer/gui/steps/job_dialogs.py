@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.gui.dialogs.dialog import Answer, Dialog
+from wafer_viewer.gui.dialogs.dialog import Confirm, Dialog
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import Dropdown, Element, Elements, Html, Input, NumberPair, Stack, Text
 from wafer_viewer.gui.elements.form import form, spec_input
@@ -74,7 +74,7 @@ def jobs_dialog(page: Page) -> None:
         load_job(page, here.path())
 
     below = f"In {page.session.snapshot.data_folder / 'jobs'}, or a file elsewhere."
-    answer = Answer("Use this job", ICON.FOLDER_OPEN, typed, "The job was not loaded")
+    answer = Confirm("Use this job", ICON.FOLDER_OPEN, typed, "The job was not loaded")
     page.on_pick(
         "job-in-dialog",
         partial(listed, FileDialog(page, "Released jobs", below, answer, "job", None, contents, rows=5)),
@@ -103,7 +103,7 @@ def start_dialog(page: Page, checks: tuple[PreflightCheck, ...], begin: Callable
     """Ask for confirmation of the open preflight checks before the scan starts."""
     below = "The scan can start, but this needs attention:"
     listed = [Html(lines([check for check in checks if check.state != "ok"]))]
-    answer = Answer("Start", ICON.PLAYER_PLAY, begin, "The scan did not start")
+    answer = Confirm("Start", ICON.PLAYER_PLAY, begin, "The scan did not start")
     Dialog(page, "Start anyway?", below, answer, None, lambda _: listed)
 
 
@@ -130,7 +130,7 @@ def trial_dialog(page: Page) -> None:
 
     title, answer, data = (
         "Try on stored wafers",
-        Answer("Try it", ICON.HISTORY, begin, NOT_TRIED),
+        Confirm("Try it", ICON.HISTORY, begin, NOT_TRIED),
         page.session.snapshot,
     )
     FileDialog(page, title, below, answer, "wafers", DEFAULT_RESULT, contents, rows=7, chosen=str(data.data_folder))
@@ -158,7 +158,7 @@ def release_dialog(page: Page) -> None:
         edit(page, then=write, product=product, revision=revision)
 
     own = _ReleaseForm(product=job.product or job.sample.product, revision=job.revision)
-    Dialog(page, "Release the job", below, Answer("Release", ICON.LOCK, release, NOT_RELEASED), own, fields)
+    Dialog(page, "Release the job", below, Confirm("Release", ICON.LOCK, release, NOT_RELEASED), own, fields)
 
 
 # -------------------------------------------------------------------------------------------------------------- corners
@@ -184,7 +184,7 @@ def corners_dialog(page: Page) -> None:
     def keep(here: Dialog[_CornersForm]) -> None:
         edit(page, marks=Marks(places=here.own.places, limit_um=here.own.limit_um), alignment=None)
 
-    answer = Answer(KEEP, ICON.CHECK, keep, "The corners were not changed")
+    answer = Confirm(KEEP, ICON.CHECK, keep, "The corners were not changed")
     Dialog(page, "Alignment corners", below, answer, _CornersForm(marks.places, marks.limit_um), fields)
 
 
@@ -256,7 +256,7 @@ def dies_dialog(page: Page) -> None:
         first_um=(start.x0_um, start.y0_um),
         counts=(start.cols, start.rows),
     )
-    Dialog(page, "Dies", DIES_TEXT, Answer(KEEP, ICON.CHECK, keep, "The dies were not changed"), own)
+    Dialog(page, "Dies", DIES_TEXT, Confirm(KEEP, ICON.CHECK, keep, "The dies were not changed"), own)
 
 
 def _lattice_of_form(own: _DiesForm) -> Dies:
@@ -424,7 +424,7 @@ def feature_dialog(page: Page, n: int | None = None) -> None:
         edit(page, features=(*features, made) if n is None else (*features[:n], made, *features[n + 1 :]))
 
     inputs = partial(_feature_inputs, stored=stored, first=AS_BEFORE if old else BY_HAND, dies=job.dies)
-    Dialog(page, "Feature", FEATURE_TEXT, Answer(KEEP, ICON.CHECK, keep, STAYS), FeatureForm.of(old), inputs)
+    Dialog(page, "Feature", FEATURE_TEXT, Confirm(KEEP, ICON.CHECK, keep, STAYS), FeatureForm.of(old), inputs)
 
 
 def _feature_inputs(

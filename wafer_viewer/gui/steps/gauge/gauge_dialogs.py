@@ -9,7 +9,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import number, with_unit
-from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, sign_dialog
+from wafer_viewer.gui.dialogs.dialog import WAIT_S, Confirm, sign_dialog
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import Elements, Html, Stack
 from wafer_viewer.gui.elements.form import form
@@ -96,7 +96,7 @@ def certificate_dialog(page: Page) -> None:
             page.session.gauge.load_certificate(here.path()).result(WAIT_S)
 
     title, below = "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml."
-    answer = Answer("Use certificate", viser.Icon.CERTIFICATE, take, NO_CERTIFICATE)
+    answer = Confirm("Use certificate", viser.Icon.CERTIFICATE, take, NO_CERTIFICATE)
     own = _Form.of(page.session.snapshot.gauge.certificate)
     FileDialog(page, title, below, answer, "certificate", own, contents, rows=3)
 

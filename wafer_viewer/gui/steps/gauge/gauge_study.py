@@ -13,7 +13,7 @@ from markupsafe import Markup
 from wafer_viewer.draw.charts.study_charts import study_charts_html
 from wafer_viewer.draw.number_format import NOTHING, number, share
 from wafer_viewer.draw.quantities import UNIT_SIGNS
-from wafer_viewer.gui.dialogs.dialog import Answer
+from wafer_viewer.gui.dialogs.dialog import Confirm
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import Dropdown, Elements, NumberOrEmpty
 from wafer_viewer.gui.page.page import Page
@@ -58,7 +58,7 @@ def study_dialog(page: Page, take: Callable[[Markup], None]) -> None:
         made = page.session.studies.gauge_rr(here.path(), METHOD_OF[here.own.method], here.own.tolerance)
         take(Markup("").join(map(study, made)))
 
-    answer = Answer("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED, commands=False)
+    answer = Confirm("Read the study", viser.Icon.TABLE_IMPORT, read, STUDY_FAILED, commands=False)
     FileDialog(page, "Gauge R&R study", below, answer, "study", _Study(), contents, rows=6)
 
 

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, HistoryPoint, history_chart_html
 from wafer_viewer.draw.number_format import NOTHING, number, share, value_and_u
-from wafer_viewer.gui.dialogs.dialog import Answer, Dialog, ask, sign_dialog
+from wafer_viewer.gui.dialogs.dialog import Confirm, Dialog, ask, sign_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, NumberOrEmpty
 from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.page.page import Page
@@ -183,7 +183,7 @@ def discard(page: Page) -> None:
     if (pending := page.session.snapshot.calibration.pending) is None:
         return
     below = "Nothing is recorded, and the values in force stay. This cannot be undone."
-    away = Answer("Discard the result", ICON.TRASH, lambda _: page.session.calibration.discard(), NOT_DISCARDED)
+    away = Confirm("Discard the result", ICON.TRASH, lambda _: page.session.calibration.discard(), NOT_DISCARDED)
     ask(page, f"Discard: {KINDS[pending.result.kind].title}?", below, away)
 
 
@@ -217,7 +217,7 @@ def run_dialog(page: Page, kind: CalibrationKind) -> None:
     own = {option.name: option.default for option in one.options}
     own |= {"focus_range_um": FOCUS_RANGE_UM, "exposure_us": None}
     below = f"{one.about} The stage moves: check that nothing is in the way."
-    Dialog(page, f"Run here: {one.title}", below, Answer("Run here", ICON.PLAYER_PLAY, begin, NOT_RUN), own, contents)
+    Dialog(page, f"Run here: {one.title}", below, Confirm("Run here", ICON.PLAYER_PLAY, begin, NOT_RUN), own, contents)
 
 
 def _limits(option: CalibrationOption) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.charts.wafer_map import MapMark
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.dialogs.dialog import WAIT_S, Answer, Dialog, ask, ask_name
+from wafer_viewer.gui.dialogs.dialog import WAIT_S, Confirm, Dialog, ask, ask_name
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.dialogs.open_and_export import FORMAT_HINT, NOT_EXPORTED
 from wafer_viewer.gui.elements.elements import Dropdown, Elements, Html, Number, Text
@@ -179,7 +179,7 @@ def export_defects_dialog(page: Page) -> None:
 
     below, first = "As judged now; nuisances are included and marked as such.", next(iter(FORMATS))
     answer, name = (
-        Answer("Export", viser.Icon.DOWNLOAD, write, NOT_EXPORTED, commands=False),
+        Confirm("Export", viser.Icon.DOWNLOAD, write, NOT_EXPORTED, commands=False),
         f"{stem}{FORMATS[first][1]}",
     )
     FileDialog(page, "Export the defects", below, answer, "any", first, contents, rows=7, saving=name)
@@ -207,7 +207,7 @@ def klarf_dialog(page: Page) -> None:
         page.redraw()
 
     below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
-    answer = Answer("Overlay", viser.Icon.STACK_2, lay, NOT_OVERLAID)
+    answer = Confirm("Overlay", viser.Icon.STACK_2, lay, NOT_OVERLAID)
     FileDialog(page, "Overlay a KLARF file", below, answer, "klarf", _Overlay(), contents, rows=6)
 
 
@@ -236,7 +236,7 @@ def golden_dialog(page: Page) -> None:
         ]
 
     named = next((header.name for header in files.golden if product and header.product == product), product)
-    answer = Answer("Keep", viser.Icon.CHECK, keep, NOT_GOLDEN)
+    answer = Confirm("Keep", viser.Icon.CHECK, keep, NOT_GOLDEN)
     Dialog(page, "Keep as golden die", below, answer, _Named(name=named), fields)
 
 
@@ -251,7 +251,7 @@ def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None
         return [*here.files(), here.upload()]
 
     below = "A file NAME.3.golden.npz. It is copied into the data folder, as the next version of its name."
-    answer = Answer("Use this golden die", viser.Icon.DIAMOND, take, "No golden die was chosen")
+    answer = Confirm("Use this golden die", viser.Icon.DIAMOND, take, "No golden die was chosen")
     FileDialog(page, "Choose a golden die", below, answer, "golden", None, contents, rows=7)
 
 
@@ -269,7 +269,7 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
         if any(recipe.name == named.name and recipe != named for recipe in stored):
             lost = f"It is a recipe of {named.product} already; its present settings are lost."
             title, over = f"Replace recipe {named.name}?", lambda _: keep(named)
-            ask(page, title, lost, Answer(f"Replace {named.name}", viser.Icon.REPLACE, over, "Nothing was replaced"))
+            ask(page, title, lost, Confirm(f"Replace {named.name}", viser.Icon.REPLACE, over, "Nothing was replaced"))
         else:
             keep(named)
 
@@ -278,7 +278,7 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectR
         then(named)
         page.redraw()
 
-    answer = Answer("Save", viser.Icon.DEVICE_FLOPPY, save, "It was not saved")
+    answer = Confirm("Save", viser.Icon.DEVICE_FLOPPY, save, "It was not saved")
     Dialog(page, "Save the recipe", below, answer, _Named(name=recipe.name, product=recipe.product))
 
 
@@ -340,7 +340,7 @@ def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
         page.redraw()
 
     below = f"A recipe of {recipe.product}. Its file is deleted; this cannot be undone."
-    answer = Answer(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe was not changed")
+    answer = Confirm(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe was not changed")
     ask(page, f"Delete recipe {recipe.name}?", below, answer)
 
 
@@ -409,7 +409,7 @@ def excluded_dialog(page: Page, areas: Areas, keep: Callable[[Areas], None], pro
         x0, y0, x1, y1 = here.own.areas[int(key)].bounds_um
         without(here, key, start=pair_text((x0, y0), PLACE), end=pair_text((x1, y1), PLACE))
 
-    answer = Answer("Keep", viser.Icon.CHECK, lambda d: keep((*d.own.areas, *_typed_area(d.own))), STAYS)
+    answer = Confirm("Keep", viser.Icon.CHECK, lambda d: keep((*d.own.areas, *_typed_area(d.own))), STAYS)
     picks = {"defect-area-change": change, "defect-area-away": without}
     Dialog(page, "Excluded areas", BELOW, answer, _Excluded((*areas, *proposed)), fields, picks)
 

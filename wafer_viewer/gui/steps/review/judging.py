@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
-from wafer_viewer.gui.dialogs.dialog import Answer, ask_text
+from wafer_viewer.gui.dialogs.dialog import Confirm, ask_text
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import no_defect, on_defect, require_step
 from wafer_viewer.gui.presenters.results import Box
@@ -170,7 +170,7 @@ class Review:
         """Open the note dialog; Enter saves the note."""
         if (item := self.item) is None:
             return
-        saves = Answer("Save the note", viser.Icon.NOTE, lambda here: self.note(item.key, here.own), NOT_NOTED)
+        saves = Confirm("Save the note", viser.Icon.NOTE, lambda here: self.note(item.key, here.own), NOT_NOTED)
         title, below = f"Note on {item.sign} · {item.title}", "Saved with the judgement and shown in the report."
         ask_text(self.page, title, below, ("Note", item.judgement.note, "Enter saves, Escape cancels"), saves)
 

@@ -10,7 +10,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import digits_of_u, number, share, value_and_u, with_unit
-from wafer_viewer.gui.dialogs.dialog import Answer
+from wafer_viewer.gui.dialogs.dialog import Confirm
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import (
     Button,
@@ -187,7 +187,7 @@ def _ask_other(here: Here[ComparisonForm]) -> None:
         first = SurfaceName(path=str(opened.path), result=snapshot.surface.result, field=field)
         _compare(here, first, SurfaceName(path=str(path)))
 
-    answer = Answer("Compare", ICON.ARROWS_DIFF, begin, "Nothing was compared")
+    answer = Confirm("Compare", ICON.ARROWS_DIFF, begin, "Nothing was compared")
     FileDialog(page, "Compare with another surface", below, answer, "surface")
 
 

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
 from wafer_viewer.draw.quantities import recipe_rows, setting_text
-from wafer_viewer.gui.dialogs.dialog import Answer, ask
+from wafer_viewer.gui.dialogs.dialog import Confirm, ask
 from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Dropdown, Element, Elements, Html, Stack
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here
@@ -90,7 +90,7 @@ def _form(here: Here[Any], recipe: Recipe) -> Iterator[Element]:
             page.ask(NOT_CHANGED, page.session.reconstruct(recipe))
             return
         title = f"Replace the surface of {snapshot.dataset.path.stem}"
-        answer = Answer(title, viser.Icon.REFRESH, lambda _: page.session.reconstruct(recipe), NOT_CHANGED)
+        answer = Confirm(title, viser.Icon.REFRESH, lambda _: page.session.reconstruct(recipe), NOT_CHANGED)
         ask(page, f"{title}?", REPLACES, answer)
 
     yield Dropdown("Preset", ready, preset, "All settings at once", options=(*READY, *((OWN,) if ready == OWN else ())))
