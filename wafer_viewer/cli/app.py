@@ -63,6 +63,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "compare": CommandEntry("surface", "the second of two surfaces minus the first, aligned before"),
     "report": CommandEntry("surface", "write the report of a dataset as one HTML file that prints well"),
     "why": CommandEntry("surface", "why a pixel has its height, or none"),
+    "paper": CommandEntry("validation", "repeat the paper's two jobs on the virtual rig, beside its tables"),
     "check": CommandEntry("acquisition", "test every checksum of a dataset and name missing frames"),
     "find": CommandEntry("upkeep", "find datasets by lot, wafer, product, verdict, date or name"),
     "log": CommandEntry("upkeep", "who scanned, released, changed, judged and signed what"),

@@ -132,14 +132,15 @@ def _count_own_memory_only(nanny: Nanny) -> None:
 
     def look() -> None:
         process = nanny.process and nanny.process.process
-        if process and process.pid and _own_bytes(process.pid) > limit_bytes:
+        if process and process.pid and own_bytes(process.pid) > limit_bytes:
             manager.memory_monitor(nanny)
 
     every_ms = 1000 * float(manager.memory_monitor_interval or 0.1)
     nanny.periodic_callbacks["memory_monitor"] = PeriodicCallback(look, every_ms)
 
 
-def _own_bytes(pid: int) -> int:
+def own_bytes(pid: int) -> int:
+    """Return the memory of a process without mapped files; 0 if it has ended."""
     import psutil
 
     try:

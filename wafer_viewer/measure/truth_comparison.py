@@ -188,16 +188,21 @@ def smoothness(z_um: Heights) -> float:
     Evaluated where all nine heights about a pixel are known; lower is smoother. The second 2 is as printed in the
     equation; the usual quadratic variation has 1 there.
     """
+    squares = squared_bending(z_um)
+    return float(squares.mean()) if squares.size else float("nan")
+
+
+def squared_bending(z_um: Heights) -> Floats:
+    """Return the terms of eq. 19, um^2, of the pixels with all nine heights about them, of which SSM is the mean."""
     if min(z_um.shape) < 3:
-        return float("nan")
+        return np.empty(0)
     z = z_um.astype(np.float64)
     middle = z[1:-1, 1:-1]
     xx = z[2:, 1:-1] - 2 * middle + z[:-2, 1:-1]
     yy = z[1:-1, 2:] - 2 * middle + z[1:-1, :-2]
     xy = z[2:, 2:] - z[1:-1, 2:] - z[2:, 1:-1] + middle
     bending = xx**2 + 2 * xy**2 + 2 * yy**2
-    finite = np.isfinite(bending)
-    return float(bending[finite].mean()) if finite.any() else float("nan")
+    return bending[np.isfinite(bending)]
 
 
 def _band(

@@ -5,11 +5,12 @@ On the page lines are in a stretched SVG and labels are placed over it in percen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from wafer_viewer.draw.charts.axes import Axis, ChartAxes, Ends, Floats, PlotLook, line_svg, plot_html, round_ticks
 from wafer_viewer.draw.colormaps import BRUSH, PROFILE_COLOURS
@@ -18,6 +19,8 @@ from wafer_viewer.model.file_contents import FrameFact
 from wafer_viewer.model.measurement.measurements import StepProfile
 from wafer_viewer.model.measurement.sections import Section, SlabPoints
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
+
+Heights = NDArray[np.float32]
 
 # ----------------------------------------------------------------------------------------------------- focus curve plot
 
@@ -348,37 +351,89 @@ def _cursor(axes: ChartAxes, at_um: float) -> Markup:
     return Markup('<path class="wv-cursor" d="{}" stroke="var(--ink)" stroke-width="1.2"/>').format(axes.upright(at_um))
 
 
+SIZE_PX = 680, 210
 _LEFT, _RIGHT, _TOP, _FOOT = 58, 16, 8, 36
 _MOST_POINTS = 1200
 _INK, _SOFT, _LINE, _BAND = "#15202B", "#445463", "#DCE3EA", "#EEF1F4"
 
 
-def profile_svg(section: Section, size_px: tuple[int, int] = (680, 210), bands: Sequence[Ends] = ()) -> Markup:
+def profile_svg(section: Section, size_px: tuple[int, int] = SIZE_PX, bands: Sequence[Ends] = ()) -> Markup:
     """Return the plot of one profile, distance and height in um, scaled to the available width; bands are shaded."""
-    frame, (width, height) = frame_of([section]), size_px
-    axes = ChartAxes(
+    frame = frame_of([section])
+    axes = _printed_axes(frame, size_px)
+    shaded = Markup("").join(_shaded(axes, *band) for band in bands)
+    return _printed_plot(axes, size_px, shaded, _printed_curve(section, frame, axes))
+
+
+def curves_svg(curves: Mapping[str, tuple[Heights, Heights]], z_um: Ends) -> Markup:
+    """Return the plot of named curves, stage x and height in um, with their legend, scaled to the available width.
+
+    Heights beyond the limits `z_um` are drawn at them.
+    """
+    x_um = np.concatenate([x for x, _ in curves.values()])
+    axes = _printed_axes(ProfileFrame((float(x_um.min()), float(x_um.max())), z_um), SIZE_PX)
+    colours = (*PROFILE_COLOURS[: len(curves) - 1], _INK)
+    drawn = (
+        _named_curve(axes, x, np.clip(z, *z_um), name, n, colour)
+        for n, (colour, (name, (x, z))) in enumerate(zip(colours, curves.items(), strict=True))
+    )
+    return _printed_plot(axes, SIZE_PX, Markup(), Markup("").join(drawn), "x of the stage, µm")
+
+
+def _named_curve(axes: ChartAxes, x_um: Heights, z_um: Heights, name: str, n: int, colour: str) -> Markup:
+    """Return a curve, and the n-th name of the legend."""
+    return Markup(
+        '<path d="{}" fill="none" stroke-width=".9" stroke="{}"/>'
+        '<text x="{}" y="{}" fill="{}" font-weight="650" stroke="#fff" stroke-width="3" paint-order="stroke">{}</text>'
+    ).format(_with_gaps(axes, x_um, z_um), colour, _LEFT + 8 + 90 * n, _TOP + 14, colour, name)
+
+
+def _with_gaps(axes: ChartAxes, x_um: Heights, z_um: Heights) -> str:
+    """Return the path of a curve that breaks where it has no height."""
+    known = np.isfinite(z_um)
+    starts = known & ~np.append(False, known[:-1])
+    x_px, y_px = axes.x.at(x_um[known].astype(float)), axes.y.at(z_um[known].astype(float))
+    points = zip(x_px.tolist(), y_px.tolist(), starts[known].tolist(), strict=True)
+    return "".join(f"{'M' if start else 'L'}{x:.1f} {y:.1f}" for x, y, start in points)
+
+
+def _printed_axes(frame: ProfileFrame, size_px: tuple[int, int]) -> ChartAxes:
+    width, height = size_px
+    return ChartAxes(
         Axis(frame.x_um, (_LEFT, width - _RIGHT), round_ticks(frame.x_um, width // 70)),
         Axis(frame.z_um, (height - _FOOT, _TOP), round_ticks(frame.z_um, 6)),
     )
+
+
+def _printed_plot(
+    axes: ChartAxes,
+    size_px: tuple[int, int],
+    shaded: Markup,
+    drawn: Markup,
+    x_title: str = "Distance along the line, µm",
+) -> Markup:
+    """Return curves over shaded bands, with axes, grid and titles round them."""
+    width, height = size_px
     middle_x, middle_y = sum(axes.x.span) / 2, sum(axes.y.span) / 2
     return Markup(
-        '<svg viewBox="0 0 {width} {height}" width="100%" role="img" font-size="11" fill="{soft}">{bands}'
+        '<svg viewBox="0 0 {width} {height}" width="100%" role="img" font-size="11" fill="{soft}">{shaded}'
         '<path d="{grid}" fill="none" stroke="{line}"/>{labels_svg}'
         '<path d="{frame}" fill="none" stroke="{soft}" stroke-width=".8"/>'
-        "{printed_curve}"
+        "{drawn}"
         '<g fill="{ink}" text-anchor="middle">'
-        '<text x="{middle_x:.1f}" y="{y}">Distance along the line, µm</text>'
+        '<text x="{middle_x:.1f}" y="{y}">{x_title}</text>'
         '<text transform="translate(12 {middle_y:.1f}) rotate(-90)">z, µm</text></g></svg>'
     ).format(
         width=width,
         height=height,
         soft=_SOFT,
-        bands=Markup("").join(_shaded(axes, *band) for band in bands),
+        shaded=shaded,
+        x_title=x_title,
         grid=axes.grid(),
         line=_LINE,
         labels_svg=axes.labels_svg(),
         frame=axes.frame(),
-        printed_curve=_printed_curve(section, frame, axes),
+        drawn=drawn,
         ink=_INK,
         middle_x=middle_x,
         y=height - 4,

@@ -41,13 +41,13 @@ JPEG_QUALITY = 85
 def whole_picture(mosaic: Mosaic, low_um: float, high_um: float) -> str:
     """Return the surface from above, as a data URL."""
     level = _level(mosaic, max(mosaic.shape), WHOLE_PX)
-    return _picture(mosaic.window(level=level), low_um, high_um, WHOLE_PX)
+    return map_picture(mosaic.window(level=level), low_um, high_um, WHOLE_PX)
 
 
 def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], low_um: float, high_um: float) -> str:
     """Return the square surroundings of a region; empty if the region is outside of the surface."""
     part = _surroundings(surface, box_um)
-    return _picture(part, low_um, high_um, PLACE_PX) if part is not None else ""
+    return map_picture(part, low_um, high_um, PLACE_PX) if part is not None else ""
 
 
 def _surroundings(surface: Mosaic, box_um: tuple[float, float, float, float]) -> HeightMap | None:
@@ -70,7 +70,7 @@ def views_of(material: Material, places: tuple[Region, ...], finding: AnyResult 
     if part is None:
         return {}
     line = line_across(places)
-    url = _picture(part, *_range_um(part, info.low_um, info.high_um), PLACE_PX)
+    url = map_picture(part, *_range_um(part, info.low_um, info.high_um), PLACE_PX)
     return {
         "picture": place_svg(url, outline_um(part), places, line),
         "profile": _profile(surface, line, places, finding),
@@ -168,7 +168,8 @@ def _level(surface: Mosaic, wide_px: int, target_px: int) -> int:
     return min(surface.levels - 1, max(0, int(np.log2(max(wide_px, 1) / target_px))))
 
 
-def _picture(part: HeightMap, low_um: float, high_um: float, most_px: int) -> str:
+def map_picture(part: HeightMap, low_um: float, high_um: float, most_px: int) -> str:
+    """Return a surface from above with colours between two heights, as a data URL; empty if it has no pixels."""
     if 0 in part.shape:
         return ""
     light = Light(light_gain(part.z_um, part.pixel_um), max(high_um - low_um, 1e-6))

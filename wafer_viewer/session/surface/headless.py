@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from wafer_viewer.compute.crews import crew_for
 from wafer_viewer.compute.dask_worker import attempt
@@ -33,6 +34,7 @@ from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.poses_file import write_poses_csv
 
 Warn = Callable[[str], None]
+SurfaceStep = Literal["heights", "splicing"]
 READ_SHARE = 0.3
 """Fraction of the progress bar for reading the files, during a reconstruction of image files."""
 STITCH_SHARE = 0.1
@@ -99,10 +101,12 @@ def make_surface(
     tell: Progress,
     warn: Warn,
     hire: LocalOrCluster = LocalOrCluster(),
+    begin: Callable[[SurfaceStep], None] = lambda step: None,
 ) -> SurfaceInfo:
     """Compute the missing heights of all fields with this recipe, then the mosaic; the dataset is locked meanwhile.
 
-    warn: called for each field that fails and is omitted. Raises ComputeError when all of them fail.
+    warn: called for each field that fails and is omitted; begin: with each step. Raises ComputeError when all fields
+    fail.
     """
     data = Dataset.open(path.absolute())
     lock = Lock.take(data.path)
@@ -112,7 +116,9 @@ def make_surface(
         with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
             crew.require_sight(data.path)
             share = 0 if not todo else 1 - STITCH_SHARE
+            begin("heights")
             _reconstruct(data, result, recipe, todo, crew, part_of(tell, 0, share), warn)
+            begin("splicing")
             drawn = part_of(tell, share, 1)
             return bring_up_to_date(data.path, result, recipe, crew=crew, progress=drawn)
     finally:

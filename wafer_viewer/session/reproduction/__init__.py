@@ -1,0 +1,1 @@
+"""The paper's jobs on the virtual rig, with its tables and figures."""
