@@ -66,7 +66,7 @@ def test_each_folder_has_an_index_that_lists_all_of_its_pages():
 WORDS_OF_A_SENTENCE = 25
 MOST_LONG_SENTENCES = 90
 """Of all pages together; lower it when some were split, never raise it for a new one."""
-MADE_BY_PROGRAM = ("glossary.md", "campaigns.md")
+MADE_BY_PROGRAM = ("glossary.md", "campaigns.md", "paper.md")
 
 
 def test_a_page_begins_with_what_it_is_for_and_ends_with_what_to_do_next():

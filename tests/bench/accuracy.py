@@ -4,7 +4,7 @@
     python tests/bench/accuracy.py --scenes N --from SEED [--measures MEASURE ...] [--each]
     python tests/bench/accuracy.py --path-traced N --from SEED [--measures MEASURE ...] [--each]
 
-Beside ours stand the rows of the paper, its method step by step, and other people's programs on the same stacks. A
+Beside ours stand the paper's method step by step, and other people's programs on the same stacks. A
 height is false when it is more than a step of 4 um off. --quick: small frames and few of them, at most a minute;
 otherwise some ten minutes. Light once traced is kept in the folder of temporary files, so that a run that was stopped
 goes on where it was. --scenes: N scenes drawn by seed from a wide distribution instead, by two renderers, the false
@@ -20,7 +20,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bench import paper
 from tests.bench.dies import show_dies
 from tests.bench.gauge_step import show_step
 from tests.bench.harness import met, percent, read_options, run_sections, show, some_of, took
@@ -65,7 +64,7 @@ def main() -> None:
 
 
 def stair(quick: bool) -> None:
-    """The paper's simulated scene, Table 2, and its smoothness, Table 3."""
+    """The paper's simulated scene."""
     taken = seen(replace(STAIR, name="short stair", settings={"treads": 3}), 128) if quick else seen(STAIR, 320)
     rows, found = [], {}
     surfaces = {name: method(taken.stack) for name, method in METHODS.items()}
@@ -85,10 +84,6 @@ def stair(quick: bool) -> None:
     for name in ("default, measured pixels", "default"):
         better = 1 - found[name].rmse_um / plain.rmse_um
         print(f"{name}: RMSE {percent(better)} % under plain Tenengrad (goal 80 {met(better, STAIR_GOAL, True)})")
-    header = ("paper", *paper.METHODS)
-    show("The paper's Table 2, simulated stair", header, paper.rows(paper.STAIR))
-    ours = ("ours, simulated stair", None, None, None, None, plain.ssm_um2, found["default"].ssm_um2)
-    show("SSM, um2: the paper's Table 3, and ours", header, [*paper.rows(paper.SMOOTHNESS), ours])
 
 
 QUALITY_HEADER = ("method", "RMSE um", "Corr", "PSNR dB", "SSM um2", "bias um", "kept %", "false %", "RMSE of true um")

@@ -1,7 +1,7 @@
 """How many planted defects are found on patterned wafers, how many that are none, and whether class and size are right.
 
     python tests/bench/bench_defects_truth.py [--quick] [--wafers N] [--seed N] [--keep FILE] [--sensitivity N]
-    python tests/bench/bench_defects_truth.py --paper        the virtual rig's own wafer, 36 mm2
+    python tests/bench/bench_defects_truth.py --paper FOLDER/wafer.wafer     of `wafer-viewer paper --keep FOLDER`
     python tests/bench/bench_defects_truth.py --speed        9 and 165 Mpx: seconds and memory
 
 Focus stacks rendered through the virtual optics, reconstructed with the default recipe, laid side by side, inspected
@@ -39,10 +39,10 @@ QUICK = Plan(cols=5, rows=4)
 
 def main() -> None:
     given = read_options(
-        __doc__, wafers=20, seed=int, keep=Path, sensitivity=DefectRecipe().sensitivity, paper=False, speed=False
+        __doc__, wafers=20, seed=int, keep=Path, sensitivity=DefectRecipe().sensitivity, paper=Path, speed=False
     )
     if given.paper:
-        show_paper(given.quick)
+        show_paper(given.paper)
     elif given.speed:
         show_speed(given.quick)
     else:

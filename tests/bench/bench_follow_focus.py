@@ -157,11 +157,7 @@ def show_gauge(seed: int) -> None:
     """The paper's gauge job, 9 x 7 fields with a step of 400 um: time of motion with and without following."""
     half = replace(virtual_limits(540, 720), pixel_um=2 * LIMITS.pixel_um)
     rig = VirtualRig("gauge_blocks", limits=half, seed=seed)
-    fields, sweep = JOBS["gauge blocks, 9 x 7 fields, 126 frames"]
-    middle = (fields[0].x_um + fields[-1].x_um) / 2, (fields[0].y_um + fields[-1].y_um) / 2
-    fields = tuple(
-        replace(f, x_um=f.x_um - middle[0], y_um=f.y_um - middle[1], z_start_um=-50.0, n_frames=None) for f in fields
-    )
+    fields, sweep = JOBS["gauge_blocks"]
     plan = looked(rig, fields, LIMITS)
     rig.close()
     rows = [

@@ -13,8 +13,9 @@ import numpy as np
 from tests.bench.harness import read_options, took
 from wafer_viewer.acquire.planner import plan_scan, price_all
 from wafer_viewer.acquire.scan_runner import run_scan
-from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, ScanPlan
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
+from wafer_viewer.session.reproduction.paper_samples import FULL
 
 LIMITS = virtual_limits(1080, 1440)
 EXPOSURES_US = (100.0,)
@@ -44,24 +45,10 @@ class Nowhere:
         return lambda *_: None
 
 
-def covering(rows: int, cols: int, width_um: float, height_um: float) -> tuple[Field, ...]:
-    """The fields of a job of the paper: a given number of rows and columns over a given rectangle."""
-    overlap_x = 1 - (width_um - LIMITS.field_width_um) / (cols - 1) / LIMITS.field_width_um
-    overlap_y = 1 - (height_um - LIMITS.field_height_um) / (rows - 1) / LIMITS.field_height_um
-    return FieldGrid(
-        rows=rows,
-        cols=cols,
-        field_width_um=LIMITS.field_width_um,
-        field_height_um=LIMITS.field_height_um,
-        overlap_x_fraction=overlap_x,
-        overlap_y_fraction=overlap_y,
-    ).fields()
-
-
 JOBS: dict[str, Job] = {
-    "gauge blocks, 9 x 7 fields, 126 frames": (covering(9, 7, 3000, 3200), FocusSweep(z_step_um=4.0, n_frames=126)),
-    "wafer, 16 x 13 fields, 101 frames": (covering(16, 13, 6000, 6000), FocusSweep(z_step_um=4.0, n_frames=101)),
+    sample.name: (sample.job.all_fields(), sample.job.sweep) for sample in FULL if sample.rows * sample.cols > 1
 }
+"""Fields and sweep of the paper's jobs."""
 
 
 def main() -> None:
@@ -77,7 +64,8 @@ def show_prices(title: str, fields: tuple[Field, ...], sweep: FocusSweep) -> Non
     price_all(fields, sweep, EXPOSURES_US, LIMITS)
     priced = took(lambda: price_all(fields, sweep, EXPOSURES_US, LIMITS))
     floor_s = len(fields) * sweep.n_frames / LIMITS.camera.frame_rate_hz
-    print(f"{title}: camera's floor {floor_s:.1f} s, all strategies priced in {1e3 * priced.clock_s:.0f} ms")
+    print(f"{title}, {len(fields)} fields of {sweep.n_frames} frames: camera's floor {floor_s:.1f} s")
+    print(f"  all strategies priced in {1e3 * priced.clock_s:.0f} ms")
     for price in sorted(priced.result, key=lambda p: p.predicted_s or float("inf")):
         cost = f"{price.predicted_s:8.1f} s  {price.motions:6d} motions" if price.predicted_s else price.ruled_out
         print(f"  {price.title:24s} {cost}")

@@ -1,4 +1,4 @@
-"""How fast a field becomes a surface, beside plain OpenCV and scikit-image in the same run, and the paper's figures.
+"""How fast a field becomes a surface, beside plain OpenCV and scikit-image in the same run.
 
     python tests/bench/speed.py [--quick]
 
@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bench import paper
 from tests.bench.harness import alone, highest, met, read_options, show, took
 from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
 from tests.support.installation import run, sharpest_in_the_middle
@@ -113,9 +112,6 @@ def show_measures(stack: FieldStack, runs: int) -> None:
     header = ("measure", "1 thread", "goal", "2 threads", "faster", "OpenCV", "scikit-image", "ratio", "ratio")
     title = f"Search of a field, window {WINDOW}, tent, confidence and all-in-focus: ms a frame of 1.56 Mpx"
     show(title, header, rows)
-    header = ("the paper, its machine", *paper.METHODS)
-    show("Table 5, gauge blocks, 126 frames", header, paper.rows(paper.BLOCKS_TIME))
-    show("Table 6, wafer, 101 frames", header, paper.rows(paper.WAFER_TIME))
 
 
 def search_ms(stack: FieldStack, measure: str, runs: int) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.output import progress, warn
+from wafer_viewer.store.io.atomic_files import size
 
 ResultFolder = Annotated[Positional[Path], arg(metavar="FOLDER")]
 
@@ -26,7 +27,7 @@ def paper(folder: ResultFolder = Path("paper"), reduced: bool = False, keep: boo
         keep: Leave the datasets with all surfaces in FOLDER.
         plan: Only print time and room.
     """
-    from wafer_viewer.draw.number_format import duration, size
+    from wafer_viewer.draw.number_format import duration
     from wafer_viewer.session.reproduction.paper_page import write_page
     from wafer_viewer.session.reproduction.reproduction import Reproduction
 

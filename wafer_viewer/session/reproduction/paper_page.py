@@ -17,9 +17,11 @@ from wafer_viewer.session.reporting.report_pictures import map_picture
 from wafer_viewer.session.reproduction.paper_samples import DEFAULT, METHODS, PaperSample
 from wafer_viewer.session.reproduction.published import (
     CERTIFIED_UM,
+    FILTERED,
     FLATNESS,
     HEIGHT,
     HEIGHT_ERROR,
+    MEASURES,
     PAPER_METHODS,
     SMOOTHNESS,
     STAIR,
@@ -36,7 +38,7 @@ from wafer_viewer.store.io.atomic_files import write_text
 from wafer_viewer.store.mosaic.poses_file import read_planes
 from wafer_viewer.store.records.conformance_reports import write_report
 
-HEADS = ("", *PAPER_METHODS, "default")
+COLUMNS = (*PAPER_METHODS, DEFAULT)
 NOT_AVAILABLE = "n. a."
 """Text for what our copy of the paper lacks."""
 BEYOND = 0.3
@@ -105,16 +107,18 @@ def _value(run: Reproduction, sample: PaperSample, method: str, quantity: str) -
 
 
 def _ours(run: Reproduction, sample: PaperSample, quantity: str) -> list[float | None]:
-    return [_value(run, sample, method, quantity) for method in METHODS]
+    return [_value(run, sample, method, quantity) for method in COLUMNS]
 
 
 def _rows(run: Reproduction, sample: PaperSample, published: PublishedRow) -> Iterator[tuple[str, ...]]:
     """Yield the paper's row, ours, and the ratio where both have a number."""
     ours = _ours(run, sample, published.quantity)
-    yield (f"{published.title}: paper", *(NOT_AVAILABLE if v is None else _text(v) for v in published.values), "")
-    yield ("ours", *map(_text, ours))
+    digits = published.digits
+    theirs = (NOT_AVAILABLE if value is None else _text(value, digits) for value in published.values)
+    yield (f"{published.title}: paper", *theirs, "")
+    yield ("ours", *(_text(value, digits) for value in ours))
     ratios = [
-        _text(own / paper) if isinstance(paper, int | float) and own is not None else ""
+        _text(own / paper, digits) if isinstance(paper, int | float) and own is not None else ""
         for own, paper in zip(ours, published.values, strict=False)
     ]
     if any(ratios):
@@ -126,20 +130,20 @@ def _row(run: Reproduction, sample: PaperSample, title: str, quantity: str) -> t
     return (title, *map(text, _ours(run, sample, quantity)))
 
 
-def _text(value: float | str | None) -> str:
-    """Return five significant digits, as many as the heights need; a dash for what is not there."""
+def _text(value: float | str | None, digits: int = 4) -> str:
+    """Return significant digits of a number; a dash for what is not there."""
     if isinstance(value, str):
         return value
     if value is None or math.isnan(value):
         return "–"
     if value and not 1e-3 <= abs(value) < 1e6:
-        digits, power = f"{value:.2e}".split("e")
-        return f"{digits}e{int(power)}"
-    return f"{value:.5g}" if abs(value) < 1e4 else number(value, 0)
+        factor, power = f"{value:.2e}".split("e")
+        return f"{factor}e{int(power)}"
+    return f"{value:.{digits}g}" if abs(value) < 1e4 else number(value, 0)
 
 
 def _table(rows: Iterable[tuple[str, ...]]) -> Table:
-    return Table(HEADS, tuple(rows), " " + "n" * (len(HEADS) - 1))
+    return Table(("", *COLUMNS), tuple(rows), " " + "n" * len(COLUMNS))
 
 
 # -------------------------------------------------------------------------------------------------------------- tables
@@ -156,7 +160,7 @@ def _stair(run: Reproduction, sample: PaperSample) -> ReportSection:
         "Table 2 and Figure 5: simulated stair",
         table=_table(rows),
         sentences=(
-            "One field of a stair with treads 20 µm apart, steps of 4 µm. The peak of the PSNR is the range of the true "
+            "One field of a stair, treads 20 µm apart, steps of 4 µm. The peak of the PSNR is the range of the true "
             "heights; the paper does not give its own.",
             f"Change: by the filter; of the default against TEN. {FALSE}",
         ),
@@ -166,14 +170,14 @@ def _stair(run: Reproduction, sample: PaperSample) -> ReportSection:
 
 def _change(run: Reproduction, sample: PaperSample, published: PublishedRow) -> tuple[str, ...]:
     """Return the change of a quantity by the filter in percent, and of the default against TEN."""
-    values = dict(zip(METHODS, _ours(run, sample, published.quantity), strict=True))
-    pairs = {method: method.removesuffix("_LW") for method in METHODS if method.endswith("_LW")} | {DEFAULT: "TEN"}
+    values = dict(zip(COLUMNS, _ours(run, sample, published.quantity), strict=True))
+    pairs = {f"{measure}{FILTERED}": measure for measure in MEASURES} | {DEFAULT: "TEN"}
 
     def text(method: str) -> str:
         before, after = values[pairs[method]] if method in pairs else None, values[method]
         return f"{100 * (after / before - 1):+.1f} %" if before is not None and before > 0 and after is not None else ""
 
-    return (f"{published.title.split(',')[0]}: change", *map(text, METHODS))
+    return (f"{published.title.split(',')[0]}: change", *map(text, COLUMNS))
 
 
 def _smoothness(run: Reproduction, samples: Iterable[PaperSample]) -> ReportSection:
@@ -271,10 +275,8 @@ def _maps(run: Reproduction, sample: PaperSample, title: str) -> ReportSection:
 
 def _pictures(run: Reproduction, sample: PaperSample) -> tuple[Figure, ...]:
     """Return the heights by every method: the measured ones of the default, and its filtered ones at the end."""
-    filtered = [method for method in METHODS if method.endswith("_LW")]
-    plain = [method for method in METHODS if method not in filtered and method != DEFAULT]
-    asked = [*((method, "map") for method in plain), (DEFAULT, "map_measured")]
-    asked += [*((method, "map") for method in filtered), (DEFAULT, "map")]
+    asked = [*((method, "map") for method in MEASURES), (DEFAULT, "map_measured")]
+    asked += [*((f"{method}{FILTERED}", "map") for method in MEASURES), (DEFAULT, "map")]
     low_um, high_um = sample.scene.z_min_um, sample.scene.z_max_um
     figures = list[Figure]()
     for method, layer in asked:

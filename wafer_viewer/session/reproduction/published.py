@@ -14,11 +14,12 @@ CERTIFIED_UM = 399.88
 
 
 class PublishedRow(NamedTuple):
-    """Row of a table: quantity as in `SurfaceFigures`, its title, and a value or a text for each of `PAPER_METHODS`."""
+    """Row of a table: quantity as in `SurfaceFigures`, title, a value or a text for each method, significant digits."""
 
     quantity: str
     title: str
     values: tuple[float | str | None, ...] = (None,) * 6
+    digits: int = 4
 
 
 STAIR = (
@@ -36,7 +37,7 @@ SMOOTHNESS = {
 }
 """Table 3, by sample."""
 
-HEIGHT = PublishedRow("height_um", "Height, µm", (401.05, 400.09, 397.63, 400.12, 398.24, 399.72))
+HEIGHT = PublishedRow("height_um", "Height, µm", (401.05, 400.09, 397.63, 400.12, 398.24, 399.72), digits=5)
 HEIGHT_ERROR = PublishedRow("height_error_um", "Error, µm", (1.17, 0.21, 2.25, 0.24, 1.64, 0.16))
 FLATNESS = PublishedRow("flatness_um", "Flatness, µm", (3.69, 1.45, 5.70, 2.06, 5.14, 1.42))
 """Table 4. The paper does not define its flatness."""

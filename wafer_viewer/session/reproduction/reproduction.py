@@ -52,7 +52,7 @@ LOOK_EVERY_S = 0.1
 
 
 class _Record(Spec, frozen=True, kw_only=True):
-    """Base class of what a step leaves in the folder; a step whose record is there is done."""
+    """Base class of the records of steps; a step with a record is done."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
 
@@ -83,7 +83,7 @@ class TimedPart(_Record, frozen=True, kw_only=True):
 
 
 class StepRecord(_Record, frozen=True, kw_only=True):
-    """What a step took: its parts, and the bytes of what it made."""
+    """Time and memory of a step, by its parts, and the bytes of its outcome."""
 
     parts: tuple[TimedPart, ...] = ()
     bytes_made: int = 0
@@ -235,13 +235,14 @@ class Reproduction:
 
     def begin(self) -> None:
         """Make the folder. Raises DiskFullError when the disk has not enough room for the run."""
-        make_folder(self.folder)
-        free = free_bytes(self.folder)
+        at = next(path for path in (self.folder.absolute(), *self.folder.absolute().parents) if path.exists())
+        free = free_bytes(at)
         if free is not None and free < self.needed_bytes:
             raise DiskFullError(
                 f"{self.folder} has {size(free)} free and the run needs {size(self.needed_bytes)}: name a folder on "
                 "another disk, or take the reduced run."
             )
+        make_folder(self.folder)
         if not self._run_file.exists():
             record = RunRecord(reduced=self.reduced, begun=today(), machine=_machine(), software_version=__version__)
             write_text(self._run_file, encode(record, "json"))

@@ -98,7 +98,7 @@ class Scene:
         return self._at(*window.points(), window.step_um)
 
     def truth(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
-        """Return true heights in um at points of any shape, as seen from straight above. For tests only."""
+        """Return true heights in um at points of any shape, as seen from straight above. For validation only."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
         flat = self._at(x.reshape(1, -1).copy(), y.reshape(1, -1).copy(), SHARP_UM)
         return flat.surface_um().reshape(x.shape)
