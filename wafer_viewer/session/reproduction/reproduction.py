@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import ClassVar, TypeVar
@@ -38,6 +38,7 @@ from wafer_viewer.session.reproduction.surface_figures import figures_of
 from wafer_viewer.session.surface.headless import LocalOrCluster, SurfaceStep, Warn, make_surface
 from wafer_viewer.session.surface.kernel_build import SIMULATION, compile_missing
 from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import RESULTS
 from wafer_viewer.store.io.atomic_files import make_folder, remove, size, write_text
 from wafer_viewer.store.io.guarded_reading import read_content
 from wafer_viewer.store.mosaic.poses_file import write_planes
@@ -45,7 +46,7 @@ from wafer_viewer.store.records.inspection_records import write_inspection
 
 PARTS = ".parts.json"
 """Ending of the file with the parts of a step that is not done."""
-LOOK_EVERY_S = 0.1
+LOOK_EVERY_S = 0.3
 """Pause between looks at the memory of the program."""
 
 # ------------------------------------------------------------------------------------------------------------- records
@@ -140,20 +141,15 @@ class PaperStep:
     work: Callable[[Progress, Warn], Spec]
 
 
-@dataclass(frozen=True)
 class Reproduction:
-    """Run of the paper's jobs in a folder. keep: leave the datasets there.
+    """Run of the paper's jobs in a folder. keep: leave the datasets with all surfaces there.
 
     Raises PlanError where the folder holds another kind of run or other files.
     """
 
-    folder: Path
-    reduced: bool = False
-    keep: bool = False
-    samples: tuple[PaperSample, ...] = field(default=())
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", self.samples or (REDUCED if self.reduced else FULL))
+    def __init__(self, folder: Path, reduced: bool = False, keep: bool = False) -> None:
+        self.folder, self.reduced, self.keep = folder, reduced, keep
+        self.samples: tuple[PaperSample, ...] = REDUCED if reduced else FULL
         if self._run_file.exists():
             if self.begun.reduced != self.reduced:
                 kind, flag = ("reduced", "with") if self.begun.reduced else ("full", "without")
@@ -178,7 +174,7 @@ class Reproduction:
         return self.folder / "paper.html"
 
     def dataset(self, sample: PaperSample) -> Path:
-        """Return the dataset of a sample, which is removed once it is no longer needed."""
+        """Return the dataset of a sample."""
         return self.folder / f"{sample.name}.wafer"
 
     def arrays(self, sample: PaperSample, method: str) -> Path:
@@ -251,6 +247,18 @@ class Reproduction:
         """Do a pending step and write its record. Raises KeyboardInterrupt when Ctrl-C stops it."""
         write_text(self.folder / f"{step.name}.json", encode(step.work(tell, warn), "json"))
         (self.folder / f"{step.name}{PARTS}").unlink(missing_ok=True)
+        if not self.keep:
+            self.tidy()
+
+    def tidy(self) -> None:
+        """Remove the surfaces of measured methods but ours, and the datasets of samples that are done."""
+        pending = {step.name for step in self.pending}
+        for sample in self.samples:
+            if f"{sample.name}-report" not in pending:
+                remove(self.dataset(sample))
+            for method in METHODS:
+                if method != DEFAULT and f"{sample.name}-{method}-figures" not in pending:
+                    remove(self.dataset(sample) / RESULTS / _result(method))
 
     # -------------------------------------------------------------------------------------------------------- the works
 
@@ -286,12 +294,10 @@ class Reproduction:
         return StepRecord(parts=self._parts(name), bytes_made=_bytes_in(stored.path))
 
     def _measure(self, sample: PaperSample, method: str, tell: Progress, warn: Warn) -> Spec:
-        """Measure a surface; that of another method than ours is removed afterwards."""
+        """Measure a surface, and store its picture and cuts."""
         stored = Dataset.open(self.dataset(sample)).result(_result(method))
         figures, arrays = figures_of(sample, stored.mosaic(), tell)
         write_planes(self.arrays(sample, method), arrays)
-        if method != DEFAULT and not self.keep:
-            remove(stored.path)
         return figures
 
     def _inspect(self, sample: PaperSample, tell: Progress, warn: Warn) -> Spec:
@@ -313,11 +319,9 @@ class Reproduction:
         )
 
     def _report(self, sample: PaperSample, tell: Progress, warn: Warn) -> Spec:
-        """Write the report of a dataset; the dataset is removed afterwards."""
-        path = self.dataset(sample)
-        out = make_report(path, DEFAULT, ReportOrder(), self.folder / f"{sample.name}-report.html", progress=tell)
-        if not self.keep:
-            remove(path)
+        """Write the report of a dataset."""
+        out = self.folder / f"{sample.name}-report.html"
+        make_report(self.dataset(sample), DEFAULT, ReportOrder(), out, progress=tell)
         return StepRecord(bytes_made=out.stat().st_size)
 
     # ----------------------------------------------------------------------------------------------------------- timing
@@ -411,10 +415,11 @@ def _own_bytes_of_all() -> int:
 
 
 def _machine() -> str:
-    """Return processor, number of cores and system."""
+    """Return processor, number of cores, system, and the load by other programs where the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         named = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         named = platform.processor() or platform.machine()
-    return f"{named}, {os.cpu_count()} cores, {platform.system()}"
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return f"{named}, {os.cpu_count()} cores, {platform.system()}{load}"

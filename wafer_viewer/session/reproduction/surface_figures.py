@@ -21,7 +21,7 @@ from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.height_map import HasLayers, HeightLayer, HeightMap, Mosaic
 from wafer_viewer.session.reproduction.paper_samples import Z_STEP_UM, PaperSample
 
-ROWS_AT_ONCE = 512
+ROWS_AT_ONCE = 256
 """Rows of a mosaic that are in memory at once."""
 PICTURE_PX, CUT_POINTS = 420, 1500
 """Most pixels of a side of a picture, and most points of a cut; others are left out: averages would hide noise."""
