@@ -106,7 +106,9 @@ def test_the_tables_hold_the_stored_results_the_papers_and_their_ratio(run):
     ours = ["–"] * 4 + [f"{figures[m]['height_um']:.5g}" for m in ("TEN", "TEN_LW", "default")]
     assert rows["Height, µm: ours"] == ours
     assert float(rows["Height, µm: ours / paper"][4]) == pytest.approx(figures["TEN"]["height_um"] / 398.24, abs=1e-3)
-    assert figures["default"]["height_error_um"] < 0.5
+    error_um = figures["default"]["height_error_um"]
+    assert float(rows["Error, µm: ours / paper"][6]) == pytest.approx(error_um / 0.16, rel=1e-3)
+    assert error_um < 0.5
     assert figures["default"]["true_height_um"] == pytest.approx(399.88, abs=0.01)
     assert table_rows(folder, "Table 5")["Acquisition, s: paper"][:6] == ["618"] * 6
     assert table_rows(folder, "Table 6")["Splicing, s: paper"][:6] == ["n. a."] * 6

@@ -46,7 +46,8 @@ BEYOND = 0.3
 DRAWN_CUTS = ("TEN", "TEN_LW", DEFAULT)
 FALSE = "False: off by more than a step."
 METHOD_NOTES = (
-    "GLV, SML, TEN: the paper's method, argmax without a filter. _LW: with its filter. Default: our default recipe.",
+    "GLV, SML, TEN: the paper's method, argmax without a filter. _LW: with its filter. Default: our default recipe, "
+    "whose ratio is to the paper's TEN_LW.",
     "The paper leaves window, step size, iterations and threshold open, so these are ours: wafer-viewer reconstruct "
     "--recipe paper.",
     "The Lévy filter is that of the printed equations. They measure a step against the noisy map itself and so keep "
@@ -81,7 +82,7 @@ def page_of(run: Reproduction) -> Report:
             _height(run, blocks),
             _times(run, blocks, "Table 5: times of the gauge blocks"),
             _times(run, wafer, "Table 6: times of the wafer"),
-            _maps(run, wafer, "Figure 7: heights of the wafer"),
+            ReportSection("Figure 7: heights of the wafer", figures=_pictures(run, wafer), empty="Not done."),
             _cuts(run, wafer),
             _inspection(run, wafer),
             _resources(run),
@@ -111,18 +112,17 @@ def _ours(run: Reproduction, sample: PaperSample, quantity: str) -> list[float |
 
 
 def _rows(run: Reproduction, sample: PaperSample, published: PublishedRow) -> Iterator[tuple[str, ...]]:
-    """Yield the paper's row, ours, and the ratio where both have a number."""
-    ours = _ours(run, sample, published.quantity)
-    digits = published.digits
+    """Yield the paper's row, ours, and the ratio where both have a number; of the default to the paper's TEN_LW."""
+    ours, digits = _ours(run, sample, published.quantity), published.digits
     theirs = (NOT_AVAILABLE if value is None else _text(value, digits) for value in published.values)
     yield (f"{published.title}: paper", *theirs, "")
     yield ("ours", *(_text(value, digits) for value in ours))
     ratios = [
         _text(own / paper, digits) if isinstance(paper, int | float) and own is not None else ""
-        for own, paper in zip(ours, published.values, strict=False)
+        for own, paper in zip(ours, (*published.values, published.values[-1]), strict=True)
     ]
     if any(ratios):
-        yield ("ours / paper", *ratios, "")
+        yield ("ours / paper", *ratios)
 
 
 def _row(run: Reproduction, sample: PaperSample, title: str, quantity: str) -> tuple[str, ...]:
@@ -267,10 +267,6 @@ def _untimed(run: Reproduction) -> Iterator[str]:
 
 
 # ------------------------------------------------------------------------------------------------------------- figures
-
-
-def _maps(run: Reproduction, sample: PaperSample, title: str) -> ReportSection:
-    return ReportSection(title, figures=_pictures(run, sample), empty="Not done.")
 
 
 def _pictures(run: Reproduction, sample: PaperSample) -> tuple[Figure, ...]:

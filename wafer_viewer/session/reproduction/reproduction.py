@@ -114,7 +114,7 @@ class Costs:
     Seconds of a core, measured by this command on an Intel Xeon; several workers share heights and filter.
     """
 
-    scan_s: float = 0.035
+    scan_s: float = 0.045
     heights_s: float = 0.0035
     default_s: float = 0.012
     filter_s: float = 5.0
