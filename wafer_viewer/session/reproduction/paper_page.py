@@ -227,8 +227,8 @@ def _times(run: Reproduction, sample: PaperSample, title: str) -> ReportSection:
         sentences=(
             f"{sample.rows} x {sample.cols} fields, {sample.n_frames} frames each. Acquisition is by the clock of the "
             "virtual rig, whose camera takes 60 frames a second; processing and splicing are by the clock of this "
-            "machine, the paper's by that of its own. Splicing includes the positions of the fields and the pyramid on "
-            "the disk.",
+            "machine, the paper's by that of its own; both work on several frames at once. Splicing includes the "
+            "positions of the fields and the pyramid on the disk.",
         ),
     )
 

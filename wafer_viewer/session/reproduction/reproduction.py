@@ -109,15 +109,17 @@ class InspectionRecord(StepRecord, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """Seconds and bytes a million pixels: of frames, fields (filter, bytes of surfaces), or the mosaic.
+    """Seconds of a core and bytes: a million pixels of frames, of fields (store, filter), of the mosaic.
 
-    Seconds of a core, measured by this command on an Intel Xeon; several workers share heights and filter.
+    Measured by this command on an Intel Xeon; several workers share the work on fields. start_s: start of the workers.
     """
 
     scan_s: float = 0.045
     heights_s: float = 0.0035
     default_s: float = 0.012
+    store_s: float = 0.4
     filter_s: float = 5.0
+    start_s: float = 8.0
     splice_s: float = 0.25
     figures_s: float = 0.2
     inspection_s: float = 3.0
@@ -365,14 +367,16 @@ def _result(method: str) -> str:
 
 def _surface_seconds(sample: PaperSample) -> dict[str, float]:
     """Return the expected time of the surface of every method; a large job has several workers."""
-    share = 1 / min(n_local_workers(), os.cpu_count() or 1) if sample.size == "full" else 1.0
-    heights_s = {DEFAULT: COSTS.default_s * sample.frame_mpx}
-    plain_s, filter_s = COSTS.heights_s * sample.frame_mpx, COSTS.filter_s * sample.field_mpx
-    splice_s = COSTS.splice_s * sample.mosaic_mpx
-    return {
-        method: share * heights_s.get(method, plain_s + filter_s * method.endswith(FILTERED)) + splice_s
-        for method in METHODS
-    }
+    is_large = sample.size == "full"
+    share = 1 / min(n_local_workers(), os.cpu_count() or 1) if is_large else 1.0
+    alone_s = COSTS.splice_s * sample.mosaic_mpx + COSTS.start_s * is_large
+
+    def seconds(method: str) -> float:
+        frames_s = (COSTS.default_s if method == DEFAULT else COSTS.heights_s) * sample.frame_mpx
+        fields_s = (COSTS.store_s + COSTS.filter_s * method.endswith(FILTERED)) * sample.field_mpx
+        return share * (frames_s + fields_s) + alone_s
+
+    return {method: seconds(method) for method in METHODS}
 
 
 def _room_bytes(sample: PaperSample, n_surfaces: int) -> float:
