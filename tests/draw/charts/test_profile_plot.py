@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.support.made_up_sections import hill, section_of
-from wafer_viewer.draw.charts.profile_plot import frame_of, profile_plot_html, round_ends, runs, thinned
+from wafer_viewer.draw.charts.profile_plot import curves_svg, frame_of, profile_plot_html, round_ends, runs, thinned
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS
 
 rng = np.random.default_rng(3)
@@ -99,3 +99,15 @@ def test_every_line_has_its_colour_and_what_is_compared_lies_over_it_in_dashes()
     assert html.count("stroke-dasharray") == 1
     assert html.count("wv-cursor") == 1
     assert len(html) < 60_000
+
+
+def test_named_curves_break_where_there_is_no_height_and_stay_in_the_frame():
+    x_um = np.arange(6, dtype=np.float32)
+    broken = np.array([0, 1, np.nan, 2, 500, 3], np.float32)
+    drawing = curves_svg({"TEN": (x_um, broken), "true": (x_um, np.zeros(6, np.float32))}, (-10.0, 40.0))
+    curve, truth = re.findall(r'<path d="([^"]*)" fill="none" stroke-width=".9"', drawing)
+    assert (curve.count("M"), curve.count("L"), truth.count("M"), truth.count("L")) == (2, 3, 1, 5)
+    heights_px = [float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", curve)]
+    frame = re.search(r'<path d="M(\d+) (\d+)H(\d+)V(\d+)H', drawing)
+    assert min(heights_px) == pytest.approx(float(frame[2]))
+    assert [name in drawing for name in (">TEN<", ">true<")] == [True, True]
