@@ -3,16 +3,19 @@ Scan on the virtual rig
 =======================
 
 This example scans two fields of the virtual wafer from Python. It shows the sharpest frame and the height map of the
-first field. With your own rig the same lines move real hardware: pass its configuration to ``Session``.
+first field. The same lines move real hardware if you open the rig of your own file.
 """
 
 # sphinx_gallery_thumbnail_number = 2
 import tempfile
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import wafer_viewer as wv
+from wafer_viewer.rigs.rig_config import open_rig
+from wafer_viewer.session.acquisition.headless import scan_to
 
 # %%
 # A job says where the fields lie and which focus sweep each of them gets. Lengths are in micrometres.
@@ -28,40 +31,36 @@ job = wv.Job(
 )
 
 # %%
-# A session owns the rig and the data folder. Nothing moves before the sample is confirmed.
+# Six checks come before the first motion. Raise an error in ``ready`` to stop there.
 
 
-def main() -> wv.Dataset:
-    session = wv.Session(tempfile.mkdtemp())
-    try:
-        session.wait_until(lambda now: now.rig.state == "ready")
-        session.jobs.confirm().result()
-        session.edit_job(job).result()
-        print(f"The fastest strategy takes {session.snapshot.draft.plan.predicted_s:.1f} s.")
-        path = session.start_scan("example").result()
-        session.wait_until(lambda now: now.dataset is not None and now.dataset.finished)
-        return wv.Dataset.open(path)
-    finally:
-        session.close()
+def ready(checks) -> None:
+    for check in checks:
+        print(f"{check.what}: {check.found}")
 
 
-# The session starts processes of its own, so the program needs the guard below.
-if __name__ == "__main__":
-    data = main()
+path = Path(tempfile.mkdtemp()) / "example.wafer"
+rig = open_rig(wv.RigConfig())
+try:
+    ended = scan_to(path, job, rig, tell=lambda fraction: None, ready=ready, warn=print)
+finally:
+    rig.close()
+print(ended.words)
 
-    # %%
-    # The dataset holds one focus stack for each field. This is the frame with the most contrast.
+# %%
+# The dataset holds one focus stack for each field. This is the frame with the most contrast.
 
-    stack = data.stack(1)
-    sharpest = max(range(len(stack.z_um)), key=lambda k: np.diff(stack.images[k].astype(float)).std())
-    plt.imshow(stack.images[sharpest], cmap="gray")
-    plt.title(f"Field 1 at z = {stack.z_um[sharpest]:.1f} µm")
+data = wv.Dataset.open(path)
+stack = data.stack(1)
+sharpest = max(range(len(stack.z_um)), key=lambda k: np.diff(stack.images[k].astype(float)).std())
+plt.imshow(stack.images[sharpest], cmap="gray")
+plt.title(f"Field 1 at z = {stack.z_um[sharpest]:.1f} µm")
 
-    # %%
-    # Shape from focus turns the stack into heights. A pixel without a reliable height stays empty.
+# %%
+# Shape from focus turns the stack into heights. A pixel without a reliable height stays empty.
 
-    height = wv.reconstruct(stack)
-    print(f"{height.measured.mean():.0%} of the field is measured.")
-    plt.figure()
-    plt.imshow(height.z_um, cmap="viridis")
-    plt.colorbar(label="z, µm")
+height = wv.reconstruct(stack)
+print(f"{height.measured.mean():.0%} of the field is measured.")
+plt.figure()
+plt.imshow(height.z_um, cmap="viridis")
+plt.colorbar(label="z, µm")
