@@ -22,6 +22,8 @@ SHAPES: dict[str, dict[str, Any]] = {
     "edge chip": {"height_um": -15.0, "on_edge_fraction": 0.4},
     "missing die": {"height_um": -40.0, "mean_height_um": -30.0, "die_fraction": 0.97},
     "tilted die": {"height_um": 5.0, "die_fraction": 0.9, "die_tilt_mrad": 6.0},
+    "bowed die": {"height_um": -0.9, "die_fraction": 1.0, "die_bow_um": -0.9},
+    "discoloured die": {"die_fraction": 1.0, "die_brightness": -0.2},
     "unmeasured": {"unmeasured_fraction": 0.9},
     "pattern": {"evidence": "picture"},
 }
@@ -34,6 +36,12 @@ def test_each_class_has_its_shape_and_says_why(kind: str):
     assert all(found.reasons)
     assert found.confidence > 0.8
     assert kind == "particle" or kind in RULES
+
+
+def test_a_place_without_a_die_is_missing_whatever_its_tilt():
+    empty = replace(PARTICLE, die_fraction=1.0, die_presence=0.0, die_tilt_mrad=9.0)
+    assert classify(empty).kind == "missing die"
+    assert "no die is seen there" in classify(empty).reasons
 
 
 def test_a_gel_with_a_steep_rim_or_rough_or_sharp_in_the_picture_is_a_particle():

@@ -111,16 +111,16 @@ def test_the_corners_of_a_round_wafer_hold_no_dies_and_one_in_the_middle_is_miss
     assert min(die.measured_fraction for die in dies) > 0.05
     out &= {(die.col + left, die.row + low) for die in dies}
     assert {(die.col + left, die.row + low) for die in dies if die.state == "missing"} == {*out, middle}
-    left_out = {(c + left, r + low) for c, r in set(grid.places) - set(without_bare_rim(grid, dies).places)}
+    left_out = {(c + left, r + low) for c, r in set(grid.places) - set(without_bare_rim(surface, grid, dies).places)}
     assert left_out == out
     named = replace(grid, named=True)
-    assert without_bare_rim(named, dies) is named
+    assert without_bare_rim(surface, named, dies) is named
 
 
 def test_dies_missing_next_to_a_gap_within_the_wafer_are_no_rim():
     surface = made(gap=Region.rectangle(600, 500, 900, 800), no_die=((3, 3),))
     grid = on_surface(Wafer().grid, surface)
-    assert without_bare_rim(grid, statuses(surface, grid)) == grid
+    assert without_bare_rim(surface, grid, statuses(surface, grid)) == grid
 
 
 @pytest.mark.slow

@@ -77,4 +77,4 @@ def test_the_limits_of_the_recipe_are_held_and_reported(dataset: Path):
     assert dict(section.pairs)["Limits"] == "not within. More than 1 defect on 1 die: 0,0."
     write_inspection(Dataset.open(dataset).result(RESULT).path, replace(found, grid=None, dies=(), defects=()))
     section = report_of(dataset, RESULT, ORDER).sections[0]
-    assert dict(section.pairs)["Limits"].startswith("no verdict, not all was inspected. No die is known, so defects")
+    assert dict(section.pairs)["Limits"].startswith("no verdict, not all was inspected. No die is known, so nothing")

@@ -103,7 +103,7 @@ def _replaced(old: str, new: str) -> Callable[[str], str]:
         (lambda text: text[: len(text) // 2], "is cut off, it has no EndOfFile"),
         (lambda text: text[1:], "is not a KLARF file"),
         (_replaced("DefectRecordSpec 17", "DefectRecordSpec 18"), "it names 17 of 18 columns"),
-        (_replaced("ClassLookup 9", "ClassLookup 8"), "its class list names 9 of 8 classes"),
+        (_replaced("ClassLookup 13", "ClassLookup 8"), "its class list names 13 of 8 classes"),
         (_replaced(" 1 3 69.7674 4 2;", " 1 3 69.7674 4;"), "its summary has 4 numbers in 5 columns"),
         (_replaced("0 0;\nSummarySpec", "0 0 9 9;\nSummarySpec"), "line 3 of its defects has 19 of 17 numbers"),
         (_replaced('"L-204";', '"L-204;'), "line 6 has a quotation mark that is not closed"),
