@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from typing import Any
 
 import pytest
@@ -158,3 +158,20 @@ def test_a_task_is_busy_until_it_ends_and_the_page_shows_both(page: Page):
     task.set_result(None)
     assert not ask.busy("report")
     assert page.drawn == 2
+
+
+def test_a_cancelled_answer_leaves_the_former_one_and_is_asked_again(page: Page):
+    ask, asked = Ask(page), list[int]()
+
+    def cancelled() -> int:
+        asked.append(1)
+        raise CancelledError
+
+    ask("height", "a", lambda: 7, "Failed")
+    assert answered(ask, "height") == 7
+    ask("height", "b", cancelled, "Failed")
+    until(lambda: page.drawn == 2)
+    assert (ask.known("height").value, page.told) == (7, [])
+    ask("height", "b", lambda: 8, "Failed")
+    assert answered(ask, "height") == 8
+    assert asked == [1]

@@ -97,7 +97,8 @@ class Dialog(Here[C]):
         for name, act in picks.items():
             page.on_pick(name, partial(act, self))
         self.show(page.session.snapshot, page.view)
-        page.opened = (*page.opened, self)
+        if not self.modal.closed:
+            page.opened = (*page.opened, self)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the dialog as it is now."""
@@ -113,7 +114,8 @@ class Dialog(Here[C]):
             else:
                 foot = Buttons([leave, self.button(self._answer)], 38, answers=True)
             contents = self._contents(self)
-            self._mount.show([Html(below), *contents, Html(fault if self._problem else ""), foot])
+            if not self.modal.closed:
+                self._mount.show([Html(below), *contents, Html(fault if self._problem else ""), foot])
 
     def button(self, answer: Confirm) -> Button:
         """Return the confirming button as it is now."""

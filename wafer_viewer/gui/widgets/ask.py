@@ -112,6 +112,8 @@ class Ask:
             answer = Answer(problem=str(fault))
         except CancelledError:
             answer = question.answer
+            if question.stamp == stamp:
+                question.stamp = _NEVER
         finally:
             if question.about == about:
                 question.answer = replace(answer, computing=question.stamp != stamp)
