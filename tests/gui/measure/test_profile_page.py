@@ -86,7 +86,7 @@ def test_only_the_line_that_moved_is_measured_again(page):
 
 def test_a_moved_handle_has_its_curve_before_the_line_is_drawn(page):
     curves, text = LiveProfiles(page), []
-    curves.on_news(lambda: text.append(len(curves.sections)))
+    curves.on_change(lambda: text.append(len(curves.sections)))
     curves.follow()
     assert text == [2]
 

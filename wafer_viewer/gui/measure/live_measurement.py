@@ -45,7 +45,7 @@ def _stamp(snapshot: Snapshot, show: int) -> object:
     return snapshot.surface.stamp if snapshot.surface else None
 
 
-_NOT_FELT_S = 0.03
+IMPERCEPTIBLE_S = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +66,14 @@ class LiveProfiles:
         self._surface: object = None
         self._line = 0
         self._lock, self._measured = threading.Lock(), threading.Event()
-        self._news: Callable[[], None] = lambda: None
+        self._changed: Callable[[], None] = lambda: None
         self.sections: tuple[Section, ...] = ()
         self.problems: tuple[str, ...] = ()
         page.on_close(self._worker.close)
 
-    def on_news(self, callback: Callable[[], None]) -> None:
+    def on_change(self, callback: Callable[[], None]) -> None:
         """Set the callback for new curves; it runs on the measuring thread."""
-        self._news = callback
+        self._changed = callback
 
     @property
     def active(self) -> Section | None:
@@ -107,10 +107,10 @@ class LiveProfiles:
     def follow(self) -> None:
         """Update the curves after a handle has moved, before its line is sent, so that one frame shows both.
 
-        Waits at most `_NOT_FELT_S`, which is imperceptible.
+        Waits at most `IMPERCEPTIBLE_S`, which is imperceptible.
         """
         self._ask(self._page.session.snapshot)
-        self._measured.wait(_NOT_FELT_S)
+        self._measured.wait(IMPERCEPTIBLE_S)
 
     def _ask(self, snapshot: Snapshot) -> None:
         """Request curves for the newest view; the page may be drawing an older one while a handle moves."""
@@ -134,7 +134,7 @@ class LiveProfiles:
         self._sections = answers
         self.sections = tuple(answer for answer in answers.values() if isinstance(answer, Section))
         self.problems = tuple(answer.why for answer in answers.values() if isinstance(answer, Missing))
-        self._news()
+        self._changed()
         self._measured.set()
         self._page.redraw()
 

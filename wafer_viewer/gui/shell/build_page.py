@@ -298,7 +298,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     gauge = StepPanel(page, gauge_step, CheckInputs(), CHECK_FAILED, GAUGE_PICKS)
     report = StepPanel(page, report_step, ReportChoices(), "The report was not changed")
     profiles = StepDock(page, "profile", profile_dock, ProfilePlot(curves), "The curve is not shown", PROFILE_PICKS)
-    curves.on_news(lambda: profiles.show(page.session.snapshot, page.view))
+    curves.on_change(lambda: profiles.show(page.session.snapshot, page.view))
     sheet = StepOverlay(page, partial(sheet_over, review_sheet), SheetState(review, Thumbnails(page)), SHEET_PICKS)
     page.viewport.on_change(page.redraw)
     why = StepPanel(page, evidence_step, Explained(), "The explanation was not changed", EVIDENCE_PICKS)
