@@ -6,6 +6,7 @@ import math
 import re
 
 from wafer_viewer.model.acquisition.characteristics import FOCUS_RANGE_UM, KINDS, CalibrationOption
+from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.acquisition.positioners import ROLES, RoleOfPositioner
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.feature import Feature
@@ -46,11 +47,13 @@ EMPTY: dict[str, str] = {
     "Site width, µm": "a quarter",
     "Site height, µm": "a quarter",
     **dict.fromkeys(("Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days", "Tolerance"), NOT_GIVEN),
-    **{one.setting.title: one.setting.empty for one in settings_of(Feature).values() if one.setting.empty},
+    **{
+        one.setting.title: one.setting.empty
+        for kind in (Feature, ImageOptions)
+        for one in settings_of(kind).values()
+        if one.setting.empty
+    },
     **dict.fromkeys(("Step, µm", "U (k = 2), µm"), NOT_GIVEN),
-    **dict.fromkeys(("Pixel, µm", "z step, µm"), NOT_GIVEN),
-    "NA": NOT_KNOWN,
-    "Light, µm": "0.55",
     "Size, mm": "not given: width × height",
     "Below, above focus, µm": "whole range",
     "Pitch, µm": "not given: x × y",
