@@ -54,7 +54,7 @@ class Holds:
     nothing: bool = False
 
 
-PAGE, PRINTED = ".html", ".pdf"
+PAGE, PRINTED, DIGITAL = ".html", ".pdf", ".xml"
 """Endings of the files that a report may be written to."""
 Contents = dict[Part, Holds]
 Pairs = tuple[tuple[str, str], ...]
@@ -85,7 +85,8 @@ class Laboratory(Spec, frozen=True, kw_only=True):
     """The laboratory that reports: the file ``laboratory.toml`` of a data folder.
 
     accreditation: such as a body and its number; logo: name of a PNG or JPEG file in the data folder; zone: IANA name
-    of its time zone, such as ``Europe/Berlin``, for the times in its reports.
+    of its time zone, such as ``Europe/Berlin``, for the times in its reports; country: its two
+    letters by ISO 3166-1, and its e-mail address, for results as XML.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -95,6 +96,8 @@ class Laboratory(Spec, frozen=True, kw_only=True):
     logo: str = ""
     language: Language = "en"
     zone: str = "UTC"
+    country: str = ""
+    email: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()

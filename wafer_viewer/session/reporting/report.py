@@ -13,10 +13,11 @@ from wafer_viewer.draw.charts.marked_map import MapKey, marked_map_svg
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.quantities import recipe_rows
 from wafer_viewer.draw.surface.display_style import DisplayStyle
-from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.job import keys_of_features, keys_under_review
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.report import (
+    DIGITAL,
     PART_TITLES,
     Contents,
     Figure,
@@ -29,9 +30,11 @@ from wafer_viewer.model.report import (
     Table,
 )
 from wafer_viewer.session.reporting.report_data import (
+    LABORATORY,
     Material,
     calibration_pairs,
     gather,
+    kind_of,
     marks_of,
     method_words,
     names_of,
@@ -54,6 +57,8 @@ from wafer_viewer.session.reporting.sections import (
     results,
     verdict,
 )
+from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.records.digital_certificate import CertifiedResults, NamedResult, results_xml
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
@@ -88,7 +93,7 @@ def report_of(
         simulated=material.dataset.simulated,
         facts=_facts(material, order),
         sections=tuple(sections),
-        number=order.number.strip() or f"{material.dataset.path.stem}-{material.day.replace('-', '')}",
+        number=_number(material, order),
         scope=SCOPE,
         paper=order.paper,
         letterhead=_letterhead(material),
@@ -122,6 +127,38 @@ def _letterhead(material: Material) -> Letterhead | None:
     return Letterhead(lab.name, tuple(line for line in (lab.address, lab.accreditation) if line), logo)
 
 
+def certified_results(material: Material, order: ReportOrder) -> CertifiedResults:
+    """Return the results of a dataset for other programs. Raises DatasetError where the laboratory is not given."""
+    lab, scan = material.laboratory, material.dataset.scan
+    if not lab.name or not lab.country:
+        raise DatasetError(f"{LABORATORY} of the data folder gives no name and country, which results as XML need.")
+    verdict_word = (f"Verdict: {verdict_text(material.verdict)}",) if material.verdict is not None else ()
+    sample = scan.job.sample
+    return CertifiedResults(
+        number=_number(material, order),
+        day=material.day,
+        country=lab.country,
+        laboratory=lab.name,
+        address=lab.address,
+        email=lab.email,
+        person=sample.operator or lab.name,
+        customer=order.customer.strip() or lab.name,
+        sample=sample.wafer_id or sample.name or material.dataset.path.stem,
+        instrument=scan.rig or scan.imported_from or "not given",
+        software=scan.software_version,
+        results=tuple(
+            NamedResult(finding.name or kind_of(finding), kind_of(finding), tuple(finding.quantities.items()))
+            for finding in material.findings
+        ),
+        statements=(*verdict_word, SCOPE, *_warnings(material).sentences),
+    )
+
+
+def _number(material: Material, order: ReportOrder) -> str:
+    """Return the number of a report: the one given, or the dataset's name with the day of the scan."""
+    return order.number.strip() or f"{material.dataset.path.stem}-{material.day.replace('-', '')}"
+
+
 def make_report(
     folder: Path,
     result: str,
@@ -137,6 +174,9 @@ def make_report(
     """
     from wafer_viewer.store.records.conformance_reports import write_report
 
+    if out.suffix == DIGITAL:
+        write_text(out, results_xml(certified_results(gather(folder, result), order)))
+        return out
     write_report(report_of(folder, result, order, progress=progress, should_stop=should_stop), out)
     return out
 
