@@ -226,7 +226,7 @@ def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
     heights = (explained_quantity(length.quantity) for length in (check.height, check.reference, check.deviation))
     limit = f"±{number(limit_um, 3)}\u202fµm" if limit_um is not None else "none"
     word = check.verdict.upper()
-    return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 2), limit, word)
+    return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 3), limit, word)
 
 
 def _of_check(material: Material, check: GaugeCheck) -> str:
