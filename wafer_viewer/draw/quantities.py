@@ -12,6 +12,7 @@ from wafer_viewer.model.measurement.result_rows import Label, Row, rows
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import SettingField, Spec, settings_of, value_at
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.recipe import Recipe
 
 NO_U = {"not evaluated": "U not evaluated", "uncalibrated": "uncalibrated"}
@@ -141,11 +142,14 @@ def recipe_rows(recipe: Recipe, requested: Recipe | None = None) -> list[tuple[s
     if requested is not None:
         paths = [path for path in paths if value_at(requested, path) == "auto" != value_at(recipe, path)]
         paths = [path for path in paths if path not in requested.unused]
+    measure = focus_measures()[recipe.focus_measure]
+    told = {"focus_measure": f"{measure.title}: {measure.description}"}
     guided = "× distance to the guide" if recipe.levy.mode == "guided" else ""
     return [
         (
             settings[path].setting.title,
-            setting_text(settings[path], value_at(recipe, path), guided if path == "levy.alpha" else ""),
+            told.get(path)
+            or setting_text(settings[path], value_at(recipe, path), guided if path == "levy.alpha" else ""),
         )
         for path in paths
     ]

@@ -36,9 +36,10 @@ from multiprocessing import get_context
 
 import numpy as np
 import wafer_viewer as wv
-from wafer_viewer.gui.steps.surface.reconstruction import FOCUS, summary
+from wafer_viewer.draw.quantities import recipe_rows
+from wafer_viewer.gui.steps.surface.reconstruction import summary
+from wafer_viewer.model.spec import settings_of
 from wafer_viewer.reconstruct.live_field import LiveField
-from wafer_viewer.session.reporting.report_data import recipe_pairs
 
 stack = wv.open_stack(sys.argv[1], z_step_um=4.0, pixel_um=0.5, z_start_um=20.0)
 recipe = wv.Recipe(focus_measure="laplacian_variance")
@@ -64,9 +65,9 @@ print(json.dumps({
     "elsewhere": bool(np.array_equal(elsewhere.z_um, height.z_um, equal_nan=True)),
     "pixel": [pixel.height_um, float(height.z_raw_um[pixel.row, pixel.col])],
     "of_noise": float(np.isfinite(of_noise.z_raw_um).mean()),
-    "choices": FOCUS,
+    "choices": dict(settings_of(wv.Recipe)["focus_measure"].setting.titles),
     "summary": summary(settled),
-    "report": dict(recipe_pairs(settled))["Focus measure"],
+    "report": dict(recipe_rows(settled))["Focus measure"],
     "refusal": refusal,
 }))
 """
@@ -106,7 +107,7 @@ def test_it_is_known_and_used_everywhere(
     assert found["elsewhere"]
     assert found["pixel"][0] == pytest.approx(found["pixel"][1], abs=0.2)
     assert found["of_noise"] < 0.01
-    assert found["choices"]["Laplacian variance"] == NAME
+    assert found["choices"][NAME] == "Laplacian variance"
     assert found["summary"].startswith("Laplacian variance · window")
     assert found["report"] == "Laplacian variance: variance of the Laplacian over the window"
     assert found["refusal"].startswith("Recipe.focus_measure is 'sharpness': it must be one of 'log_laplacian', ")

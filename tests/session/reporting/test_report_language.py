@@ -16,6 +16,7 @@ from wafer_viewer.model.measurement.result_rows import labels_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace, settings_of
+from wafer_viewer.model.surface.focus_measures import focus_measures
 from wafer_viewer.model.surface.height_map import LAYER_TITLES, ORIGIN_TITLES
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.reporting.report import report_of
@@ -53,6 +54,7 @@ def test_no_text_of_a_report_of_everything_is_left_in_english(report):
         (label.title for tool in TOOLS.values() for label in labels_of(tool.result).values() if label.listed),
         (field.setting.title for field in settings_of(Recipe).values()),
         RECIPE_CHOICES,
+        (measure.description for measure in focus_measures().values()),
         (text for name, text in vars(measurement_context).items() if name.isupper() and isinstance(text, str)),
     ],
 )
