@@ -122,6 +122,16 @@ def test_number_customer_and_kind_of_file_are_those_chosen(report: Here[ReportCh
     assert path.name == f"{report.snapshot.dataset.path.stem}-report-1.pdf"
 
 
+@pytest.mark.parametrize("chosen", ["", "en", "de"])
+def test_the_language_is_the_laboratorys_until_another_is_chosen(report: Here[ReportChoices], chosen: str):
+    shown = {element.label: element for element in flat(report_step(report)) if isinstance(element, Input)}
+    assert shown["Language"].value == ""
+    assert chosen in [key for key, _ in shown["Language"].options]
+    shown["Language"].put(chosen)
+    write(report)
+    assert [order.language for order in report.page.session.papers.orders] == [chosen or None]
+
+
 def test_while_a_report_is_written_no_other_is_begun(report: Here[ReportChoices]):
     write(report)
     write(report)
