@@ -16,7 +16,8 @@ from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
 NOISE_KNOWN = "Noise of {:.3g} um{}: values are not corrected for it, U covers it."
 OF_HEIGHTS = ", from the uncertainty of the heights"
 NOISE_UNKNOWN = (
-    "U needs the noise of the heights, which have no uncertainty of their own: give what `calibrate noise` measures."
+    "U needs the noise of the heights, which have no uncertainty of their own: "
+    "give it with noise_um (`calibrate noise`)."
 )
 LONGEST_NOISE = 4.0
 """Length over which noise may be alike, in focus windows: U is the larger of that by one and by so many.
