@@ -74,7 +74,7 @@ def test_a_clean_wafer_has_an_empty_list_and_says_where_was_looked(tmp_path: Pat
 
 
 def test_every_class_but_unmeasured_has_a_number():
-    assert sorted(CLASS_NUMBERS.values()) == list(range(1, 9))
+    assert sorted(CLASS_NUMBERS.values()) == list(range(1, 13))
 
 
 def test_missing_dies_are_reported(tmp_path: Path):

@@ -235,6 +235,7 @@ def test_what_is_set_is_what_is_inspected():
 
 def test_a_rectangle_between_equal_corners_of_two_dies_gives_the_pitch_to_search_by():
     here, told = here_of(), []
+    assert inputs(here)["Dies"].value != GIVEN
     here.page.say = lambda *words: told.append(words)
     PICKS["defect-pitch"](here, "")
     assert told[0][1].startswith("Select a rectangle on the surface first, from a corner of a die to the same corner")
