@@ -22,7 +22,7 @@ SHAPES: dict[str, dict[str, Any]] = {
     "edge chip": {"height_um": -15.0, "on_edge_fraction": 0.4},
     "missing die": {"height_um": -40.0, "mean_height_um": -30.0, "die_fraction": 0.97},
     "tilted die": {"height_um": 5.0, "die_fraction": 0.9, "die_tilt_mrad": 6.0},
-    "bowed die": {"height_um": -0.9, "die_fraction": 1.0, "die_bow_um": -0.9},
+    "bowed die": {"height_um": -1.8, "die_fraction": 1.0, "die_bow_um": -1.8},
     "discoloured die": {"die_fraction": 1.0, "die_brightness": -0.2},
     "unmeasured": {"unmeasured_fraction": 0.9},
     "pattern": {"evidence": "picture"},

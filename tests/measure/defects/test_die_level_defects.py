@@ -45,7 +45,7 @@ def test_a_tilted_die_is_distinguished_from_the_sliver_of_one():
     assert list(kinds(die5=odd).values()) == ["tilted die"]
     assert kinds(die5=dataclasses.replace(odd, known=0.1)) == {}
     assert kinds(die5=dataclasses.replace(odd, u_tilt=0.02)) == {}, "it may be level"
-    assert list(kinds(die5=dataclasses.replace(LEVEL, bow_um=-0.8)).values()) == ["bowed die"]
+    assert list(kinds(die5=dataclasses.replace(LEVEL, bow_um=-1.8)).values()) == ["bowed die"]
     assert list(kinds(die5=dataclasses.replace(LEVEL, brightness=0.2)).values()) == ["discoloured die"]
 
 

@@ -131,7 +131,8 @@ def _unmeasured(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
 def _missing_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
     if shape.die_presence < PRESENT:
         return _of_die(shape, rules), Condition("no die is seen there", shape.die_presence, PRESENT, over=False)
-    down_um = max(-shape.mean_height_um or -shape.height_um, 0.0)
+    of_bow = bool(shape.die_bow_um)  # its height is that of the bow
+    down_um = max(-(shape.mean_height_um if of_bow else shape.mean_height_um or shape.height_um), 0.0)
     level = Condition("it is not tilted", shape.die_tilt_mrad, rules.tilt_mrad, over=False)
     low = Condition(f"the die lies {down_um:.3g} um under the others", down_um, rules.missing_height_um)
     return _of_die(shape, rules), low, level
