@@ -96,9 +96,10 @@ def flatten(z_um: Plane, area: Area, spread_um: Plane, pixel_um: float) -> tuple
         return plane.off(z_um), DieForm()
     coefficients, u, known = fitted
     form = _surface(coefficients, die.shape)
-    flat = (beside if beside != DiePlane() else DiePlane.of(z_um)).off(z_um)
+    ground = beside if beside != DiePlane() else DiePlane.of(z_um)
+    flat, lift = ground.off(z_um), ground.seen_from(area[0].start, area[1].start).off(form)
     flat[area] = die - form
-    _forget_outline(flat, area, _outline_lift(form), float(np.nanmedian(spread_um)))
+    _forget_outline(flat, area, _outline_lift(lift), float(np.nanmedian(spread_um)))
     half = np.array(die.shape) * pixel_um / 2
     return flat, DieForm(
         tilt=(float(coefficients[1] / half[1]), float(-coefficients[0] / half[0])),
