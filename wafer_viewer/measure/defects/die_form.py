@@ -40,6 +40,8 @@ class DieFormParameters:
         Approximate number of pixels to which the brightness is fitted.
     least_points : int
         Smallest number of them.
+    clear : float
+        Smallest contrast of the pattern, in deviations of the noise, for the contrast of a die.
     edge_px : int, px
         Distance from the outline of a lifted die within which it is not compared.
     lifted : float
@@ -56,6 +58,7 @@ class DieFormParameters:
     least_blocks: int = 20
     points: int = 6_000
     least_points: int = 50
+    clear: float = 3.0
     edge_px: int = 2
     lifted: float = 4.0
 
@@ -218,7 +221,10 @@ def _gain(difference: Plane, like: Plane) -> tuple[tuple[float, float, float], f
     down, right, _ = _terms(rows * np.float64(step), cols * np.float64(step), difference.shape)
     design = np.stack([down, right, np.ones(len(values)), pattern - middle], axis=1)
     try:
-        trend_down, trend_right, level, gain = robust_fit(design, values).coefficients.tolist()
+        fit = robust_fit(design, values)
+        trend_down, trend_right, level, gain = fit.coefficients.tolist()
+        if float(pattern.std()) < DIE_FORM.clear * float(fit.residuals[fit.inliers].std()):
+            gain = 0.0  # the noise of the reference is no pattern
     except MeasureError:
         return (0.0, 0.0, float(np.median(values))), 0.0, middle
     return (trend_down, trend_right, level), gain, middle
