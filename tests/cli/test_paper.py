@@ -111,7 +111,7 @@ def test_the_tables_hold_the_stored_results_the_papers_and_their_ratio(run):
     assert error_um < 0.5
     assert figures["default"]["true_height_um"] == pytest.approx(399.88, abs=0.01)
     assert table_rows(folder, "Table 5")["Acquisition, s: paper"][:6] == ["618"] * 6
-    assert table_rows(folder, "Table 6")["Splicing, s: paper"][:6] == ["n. a."] * 6
+    assert table_rows(folder, "Table 6")["Stitching, s: paper"][:6] == ["n. a."] * 6
 
 
 def test_the_height_is_that_of_the_command_that_measures_steps(run):

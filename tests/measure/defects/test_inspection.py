@@ -174,7 +174,7 @@ def test_a_defect_in_a_street_shows_next_to_a_stored_golden_die() -> None:
 @pytest.mark.slow
 def test_a_clean_die_says_that_its_street_was_not_looked_at() -> None:
     golden = golden_of_surface(made(1, ()).surface, made(1, ()).grid)
-    few = made(2, ())
+    few = made(4, ())
     grid = replace(few.grid, rows=1)
     inspection = inspect(few.surface, grid, DULL, golden)
     assert "not inspected" in inspection.notes[-1]

@@ -98,11 +98,11 @@ def _value(run: Reproduction, sample: PaperSample, method: str, quantity: str) -
     if quantity == "acquisition_s":
         scan = run.record(f"{sample.name}-scan", StepRecord)
         return None if scan is None else sum(part.instrument_s for part in scan.parts)
-    if quantity in ("frame_ms", "splicing_s"):
+    if quantity in ("frame_ms", "stitching_s"):
         surface = run.record(f"{sample.name}-{method}-surface", StepRecord)
         if surface is None:
             return None
-        return surface.frame_ms if quantity == "frame_ms" else surface.parts[-1].splicing_s
+        return surface.frame_ms if quantity == "frame_ms" else surface.parts[-1].stitching_s
     figures = run.record(f"{sample.name}-{method}-figures", SurfaceFigures)
     return None if figures is None else figures.values.get(quantity)
 
@@ -226,8 +226,8 @@ def _times(run: Reproduction, sample: PaperSample, title: str) -> ReportSection:
         table=_table(rows),
         sentences=(
             f"{sample.rows} x {sample.cols} fields, {sample.n_frames} frames each. Acquisition is by the clock of the "
-            "virtual rig, whose camera takes 60 frames a second; processing and splicing are by the clock of this "
-            "machine, the paper's by that of its own; both work on several frames at once. Splicing includes the "
+            "virtual rig, whose camera takes 60 frames a second; processing and stitching are by the clock of this "
+            "machine, the paper's by that of its own; both work on several frames at once. Stitching includes the "
             "positions of the fields and the pyramid on the disk.",
         ),
     )
@@ -241,7 +241,7 @@ def _resources(run: Reproduction) -> ReportSection:
             record = run.record(f"{sample.name}-{step}", StepRecord if step != "inspection" else InspectionRecord)
             if record is None or not record.parts:
                 continue
-            spent_s = sum(part.seconds + part.splicing_s for part in record.parts)
+            spent_s = sum(part.seconds + part.stitching_s for part in record.parts)
             peak = max(part.peak_bytes for part in record.parts)
             title = f"{sample.name.replace('_', ' ')}, {step.removesuffix('-surface')}"
             rows.append((title, duration(spent_s), size(peak), size(record.bytes_made) if record.bytes_made else ""))

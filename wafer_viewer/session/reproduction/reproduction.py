@@ -79,7 +79,7 @@ class TimedPart(_Record, frozen=True, kw_only=True):
     frames: int = 0
     seconds: float = 0.0
     instrument_s: float = 0.0
-    splicing_s: float = 0.0
+    stitching_s: float = 0.0
     peak_bytes: int = 0
 
 
@@ -120,7 +120,7 @@ class Costs:
     store_s: float = 0.4
     filter_s: float = 5.0
     start_s: float = 8.0
-    splice_s: float = 0.25
+    stitch_s: float = 0.25
     figures_s: float = 0.2
     inspection_s: float = 3.0
     surface_bytes: float = 21e6
@@ -207,7 +207,7 @@ class Reproduction:
 
         yield step("scan", "scan", COSTS.scan_s * sample.frame_mpx, self._scan)
         for method, seconds in _surface_seconds(sample).items():
-            yield step(f"{method}-surface", f"heights and splicing, {method}", seconds, self._make_surface, method)
+            yield step(f"{method}-surface", f"heights and stitching, {method}", seconds, self._make_surface, method)
             figures_s = COSTS.figures_s * sample.mosaic_mpx
             yield step(f"{method}-figures", f"figures, {method}", figures_s, self._measure, method)
         if sample.drop_um is not None:
@@ -281,7 +281,7 @@ class Reproduction:
         return StepRecord(parts=self._parts(f"{sample.name}-scan"), bytes_made=_bytes_in(path))
 
     def _make_surface(self, sample: PaperSample, method: str, tell: Progress, warn: Warn) -> Spec:
-        """Make the heights of all fields by a method, and splice them."""
+        """Make the heights of all fields by a method, and stitch them."""
         path, name = self.dataset(sample), f"{sample.name}-{method}-surface"
         stored = Dataset.open(path).result(_result(method))
 
@@ -340,11 +340,11 @@ class Reproduction:
                 yield lambda step: times.update({step: time.perf_counter()})
             finally:
                 ended = time.perf_counter()
-                spliced = times.get("splicing", ended)
+                stitched_s = times.get("stitching", ended)
                 part = TimedPart(
                     frames=n_frames() - before,
-                    seconds=spliced - times.get("heights", began),
-                    splicing_s=ended - spliced,
+                    seconds=stitched_s - times.get("heights", began),
+                    stitching_s=ended - stitched_s,
                     instrument_s=rig.clock.now_s() - clock_s if rig else 0.0,
                     peak_bytes=max(highest),
                 )
@@ -369,7 +369,7 @@ def _surface_seconds(sample: PaperSample) -> dict[str, float]:
     """Return the expected time of the surface of every method; a large job has several workers."""
     is_large = sample.size == "full"
     share = 1 / min(n_local_workers(), os.cpu_count() or 1) if is_large else 1.0
-    alone_s = COSTS.splice_s * sample.mosaic_mpx + COSTS.start_s * is_large
+    alone_s = COSTS.stitch_s * sample.mosaic_mpx + COSTS.start_s * is_large
 
     def seconds(method: str) -> float:
         frames_s = (COSTS.default_s if method == DEFAULT else COSTS.heights_s) * sample.frame_mpx

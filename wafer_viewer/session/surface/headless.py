@@ -34,7 +34,7 @@ from wafer_viewer.store.formats.conversion import is_surface_file, read_surface
 from wafer_viewer.store.mosaic.poses_file import write_poses_csv
 
 Warn = Callable[[str], None]
-SurfaceStep = Literal["heights", "splicing"]
+SurfaceStep = Literal["heights", "stitching"]
 READ_SHARE = 0.3
 """Fraction of the progress bar for reading the files, during a reconstruction of image files."""
 STITCH_SHARE = 0.1
@@ -118,7 +118,7 @@ def make_surface(
             share = 0 if not todo else 1 - STITCH_SHARE
             begin("heights")
             _reconstruct(data, result, recipe, todo, crew, part_of(tell, 0, share), warn)
-            begin("splicing")
+            begin("stitching")
             drawn = part_of(tell, share, 1)
             return bring_up_to_date(data.path, result, recipe, crew=crew, progress=drawn)
     finally:
