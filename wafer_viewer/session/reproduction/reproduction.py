@@ -20,7 +20,7 @@ from wafer_viewer._version import __version__
 from wafer_viewer.compute.dask_worker import own_bytes
 from wafer_viewer.compute.task_runner import n_local_workers
 from wafer_viewer.model.acquisition.devices import Rig
-from wafer_viewer.model.errors import DatasetError, DiskFullError, PlanError, RigError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, DiesNotFound, DiskFullError, PlanError, RigError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.report import ReportOrder
@@ -303,10 +303,13 @@ class Reproduction:
         return figures
 
     def _inspect(self, sample: PaperSample, tell: Progress, warn: Warn) -> Spec:
-        """Inspect our surface for defects."""
+        """Inspect our surface for defects: die by die, or against its form where too few dies are seen."""
         wafer, name = wafer_of(self.dataset(sample), DEFAULT), f"{sample.name}-inspection"
         with self._timed(name, int):
-            found = inspected(wafer, DefectRecipe(), GivenDies(), None, "dies", tell)
+            try:
+                found = inspected(wafer, DefectRecipe(), GivenDies(), None, "dies", tell)
+            except DiesNotFound:
+                found = inspected(wafer, DefectRecipe(), GivenDies(), None, "form", tell)
         write_inspection(Dataset.open(self.dataset(sample)).result(DEFAULT).path, found)
         x_um, y_um = np.array([sample.drop_um or (0.0, 0.0)]).T
         kinds: dict[str, int] = {}
