@@ -20,8 +20,8 @@ plain = wv.texture(surface, face)
 print(f"Sa = {plain.sa}, Sq = {plain.sq}, Sz = {plain.sz}")
 
 # %%
-# The S-filter removes waves shorter than its nesting index, the L-filter longer ones. U comes from the uncertainty of the
-# heights; a noise that was measured takes its place.
+# The S-filter removes waves shorter than its nesting index, the L-filter longer ones. U comes from the uncertainty of
+# the heights; a noise that was measured takes its place.
 
 filtered = wv.texture(surface, face, s_filter_um=6.5, l_filter_um=40.0, noise_um=0.1)
 print(f"Sa = {filtered.sa}, Sq = {filtered.sq}, Sz = {filtered.sz}")

@@ -39,7 +39,7 @@ def run(tmp_path_factory):
         for method in LEFT_OUT:
             patch.delitem(reproduction.METHODS, method)
         with pytest.MonkeyPatch.context() as stopping:
-            stopping.setattr(headless, "FrameTaken", stop_after(40))
+            stopping.setattr(headless, "FrameTaken", stop_after(10))
             first = viewer("paper", folder, "--reduced")
         before = {path: path.stat().st_mtime_ns for path in folder.glob("*.json")}
         second = viewer("paper", folder, "--reduced", "--keep")
@@ -88,7 +88,7 @@ def test_a_stopped_run_continues_and_does_every_step_once(run):
 def test_a_stopped_scan_counts_every_frame_and_the_time_of_both_parts(run):
     parts = record(run[0], "gauge_blocks-scan")["parts"]
     assert len(parts) == 2
-    assert 40 <= parts[0]["frames"] < 110
+    assert 10 <= parts[0]["frames"] < 110
     assert sum(part["frames"] for part in parts) == 110
     assert all(part["instrument_s"] > part["frames"] / 60 and part["peak_bytes"] > 1e7 for part in parts)
 
@@ -108,7 +108,7 @@ def test_the_tables_hold_the_stored_results_the_papers_and_their_ratio(run):
     assert float(rows["Height, µm: ours / paper"][4]) == pytest.approx(figures["TEN"]["height_um"] / 398.24, abs=1e-3)
     error_um = figures["default"]["height_error_um"]
     assert float(rows["Error, µm: ours / paper"][6]) == pytest.approx(error_um / 0.16, rel=1e-3)
-    assert error_um < 0.5
+    assert error_um < figures["default"]["height_u_um"] < 1.5
     assert figures["default"]["true_height_um"] == pytest.approx(399.88, abs=0.01)
     assert table_rows(folder, "Table 5")["Acquisition, s: paper"][:6] == ["618"] * 6
     assert table_rows(folder, "Table 6")["Stitching, s: paper"][:6] == ["n. a."] * 6
