@@ -85,7 +85,7 @@ def exported(page: Page, session: Session, ending: str) -> str:
     path = (session.snapshot.data_folder / name).with_suffix(ending)
     if ending != ".klarf":
         dialog.get_by_label("Format").click()
-        page.get_by_role("option").filter(has_text="CSV").click()
+        page.get_by_role("option").filter(has_text="CSV, a table").click()
         expect(text_field(page, "File name")).to_have_value(path.name)
     dialog.get_by_role("button", name="Export", exact=True).click()
     eventually(path.exists, f"{path.name} is written")

@@ -199,7 +199,7 @@ def review_commands(review: Review) -> list[Command]:
     def commands(
         name: str, key: str | None, sign: Any, act: Callable[[], None], alike: Callable[[], None]
     ) -> list[Command]:
-        together = Command(f"{name}, all alike", key, alike, sign, "shift", "Review", here=on_defect)
+        together = Command(f"{name}, all alike", key, alike, sign, "shift" if key else None, "Review", here=on_defect)
         return [Command(name, key, act, sign, group="Review"), together]
 
     verdicts: tuple[tuple[Verdict, str, str, Any], ...] = (
