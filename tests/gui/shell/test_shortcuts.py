@@ -65,6 +65,10 @@ def test_no_key_does_two_things(view: View):
     assert ("1", "shift") in used
 
 
+def test_a_command_without_a_key_has_no_modifier():
+    assert not [c.name for c in all_commands() if c.modifier and not c.key]
+
+
 def test_the_keys_of_the_camera_stay_its_own():
     assert not {c.key for c in all_commands() if c.modifier is None} & CAMERA
 
