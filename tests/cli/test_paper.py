@@ -40,7 +40,9 @@ def run(tmp_path_factory):
             patch.delitem(reproduction.METHODS, method)
         with pytest.MonkeyPatch.context() as stopping:
             stopping.setattr(headless, "FrameTaken", stop_after(10))
+            handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in background
             first = viewer("paper", folder, "--reduced")
+            signal.signal(signal.SIGINT, handler)
         before = {path: path.stat().st_mtime_ns for path in folder.glob("*.json")}
         second = viewer("paper", folder, "--reduced", "--keep")
         third = viewer("paper", folder, "--reduced")
