@@ -26,7 +26,7 @@ from tests.bench.product_wafers import judged, product
 from tests.support.patterned_surface import Wafer
 from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
+from wafer_viewer.model.inspection.die_grid import DieGrid, ProductDies
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
 
@@ -78,7 +78,7 @@ def _product(seed: int, given: bool = False) -> tuple[str, str]:
     grid, pitch = drawn.grid, (drawn.grid.pitch_x_um * typed[0], drawn.grid.pitch_y_um * typed[1])
     street = grid.street_x_um * drawn.shown[0], grid.street_y_um * drawn.shown[1]
     sides = {"width_um": pitch[0] - street[0], "height_um": pitch[1] - street[1]}
-    size = DieSize(pitch_x_um=pitch[0], pitch_y_um=pitch[1], **sides) if given else None
+    size = ProductDies(pitch_x_um=pitch[0], pitch_y_um=pitch[1], **sides) if given else None
     try:
         right, why = judged(find_dies(drawn.surface, size=size), drawn)
     except MeasureError:

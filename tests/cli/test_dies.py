@@ -86,7 +86,7 @@ def test_the_dies_of_a_job_keep_its_names(surface, tmp_path, capsys):
         (GIVEN[3:], "The size and the corner of dies go with their pitch: give --pitch-um too."),
         ((*GIVEN[:3], "--angle-deg", 1), "The angle of dies, and --as-given, go with their corner: give --origin-um"),
         ((*GIVEN, "--job", "plan.toml"), "Dies are given by a file or by their pitch: leave --job or --pitch-um out."),
-        ((*GIVEN[:3], "--size-um", 250, 121), "DieSize.width_um is 250.0: it must be at most the pitch 201.3 um."),
+        ((*GIVEN[:3], "--size-um", 250, 121), "ProductDies.width_um is 250.0: it must be at most the pitch 201.3 um."),
         (("--job", "gone.toml"), "gone.toml cannot be read, it does not exist: check the path."),
         ((*GIVEN[:4], 100, *GIVEN[5:]), "um off those that the surface shows, over a quarter of their pitch"),
         ((*GIVEN[:7], 250, 121), "DieGrid.width_um is 250.0: it must be at most the pitch 201.3 um."),

@@ -54,6 +54,8 @@ def test_dies_that_lie_farther_off_than_allowed_are_named_with_their_numbers():
     verdict = verdict_of(found, DefectLimits(max_tilt_mrad=3.0, max_bow_um=0.5))
     assert (verdict.word, verdict.failing) == ("fail", ("0,1", "1,0"))
     assert verdict.why == ("Tilt over 3 mrad: 0,1 (4).", "Bow over 0.5 um: 1,0 (0.9).")
+    twice = inspection(measured={"0,1": lying(tilt_mrad=-4.0, bow_um=0.9)})
+    assert len(verdict_of(twice, DefectLimits(max_tilt_mrad=3.0, max_bow_um=0.5)).why) == 2
     assert DefectLimits(max_tilt_mrad=1.0).over(DefectLimits(max_bow_um=2.0)).of_dies == {"tilt": 1.0, "bow": 2.0}
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_fit import robust_fit
 from wafer_viewer.measure.defects.cell_comparison import CellResult, ComparisonWork
-from wafer_viewer.measure.defects.defect_builder import classify
+from wafer_viewer.measure.defects.defect_builder import LEAST_COMPARED, classify
 from wafer_viewer.measure.defects.die_form import DieForm
 from wafer_viewer.measure.dies.die_cells import Place
 from wafer_viewer.model.errors import MeasureError
@@ -36,8 +36,6 @@ class DieLevelParameters:
         Robust deviations from the other dies beyond which an entire die is a defect.
     sure : float
         The same in standard uncertainties of the die.
-    least_dies : int
-        Smallest number of dies for a comparison of them.
     dies_a_term : float
         Smallest number of dies for each term of the trend over the wafer that is removed first.
     least_known : float
@@ -50,7 +48,6 @@ class DieLevelParameters:
 
     far: float = 6.0
     sure: float = 6.0
-    least_dies: int = 4
     dies_a_term: float = 2.5
     least_known: float = 0.5
 
@@ -104,7 +101,7 @@ def whole_die_defects(
     """
     grid, rules = work.cells.grid, work.recipe.rules
     found = {grid.name(*at): _whole(at, work, reading, DieForm(), 0.0, DIE_LEVEL.far) for at in missing}
-    if len(forms) < DIE_LEVEL.least_dies:
+    if len(forms) < LEAST_COMPARED:
         return found
     some = list(forms.values())
     tilts = np.array([form.tilt for form in some])

@@ -16,7 +16,7 @@ from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_co
 from wafer_viewer.measure.dies.lattice_refinement import Registered, Single, cells_over, dissimilar_cells, refined
 from wafer_viewer.measure.dies.periodicity import MEND, Periods, periods_of, vertex
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
+from wafer_viewer.model.inspection.die_grid import DieGrid, ProductDies
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace, require_choice
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -249,7 +249,7 @@ LEAST_ON_SURFACE = 0.1
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
 
 
-def find_dies(surface: Mosaic, *, evidence: Evidence = "both", size: DieSize | None = None) -> DieGrid:
+def find_dies(surface: Mosaic, *, evidence: Evidence = "both", size: ProductDies | None = None) -> DieGrid:
     """Find the die lattice of a surface.
 
     The pitches come from the lags at which all columns, or all rows, of the pattern are similar, and are refined by
@@ -261,7 +261,7 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both", size: DieSize | N
         The surface; heights are read from the layer that its recipe measures on.
     evidence : {"height", "picture", "both"}, default "both"
         Layers to search: the heights, the all-in-focus image or both.
-    size : DieSize, optional
+    size : ProductDies, optional
         Pitches of the product's dies, in um, and their size if known. They are searched next to these pitches, to 3 %,
         which tells dies from pads and lines, and keep the size.
 
@@ -392,7 +392,7 @@ def _cell(
     return ((low + high) / 2 - n_dies / 2 * pitch_px) * pixel_um, pitch_px * pixel_um
 
 
-def with_streets(found: Registered, size: DieSize | None = None) -> DieGrid:
+def with_streets(found: Registered, size: ProductDies | None = None) -> DieGrid:
     """Return the lattice with die size and origin from the streets of the median cell; dies keep a known size."""
     grid, lattice = found.grid, found.lattice
     known = _known_streets(size, grid)
@@ -419,7 +419,7 @@ def with_streets(found: Registered, size: DieSize | None = None) -> DieGrid:
     )
 
 
-def _known_streets(size: DieSize | None, grid: DieGrid) -> tuple[float, float]:
+def _known_streets(size: ProductDies | None, grid: DieGrid) -> tuple[float, float]:
     """Return the widths of the streets along x and y of dies of a known size, um; 0 where it is not known."""
     if size is None:
         return 0.0, 0.0

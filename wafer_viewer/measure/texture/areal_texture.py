@@ -11,14 +11,13 @@ from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.pixel_noise import (
     MOST_SIDE,
-    own_noise_um,
 )
-from wafer_viewer.measure.base.plane_faces import MIN_POINTS, Area, area_of, lattice_of
-from wafer_viewer.measure.texture.features import five_heights, peak_numbers
+from wafer_viewer.measure.base.plane_faces import MIN_POINTS, area_of, lattice_of
+from wafer_viewer.measure.texture.features import five_heights, peak_numbers, peaks_and_pits
 from wafer_viewer.measure.texture.material_ratio import bearing, height_at, material_ratio_curve, volumes
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.texture.spatial_texture import spatial
-from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, with_scale
+from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, noise_of, with_scale
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Texture
 from wafer_viewer.model.measurement.tool_options import Borders, SlopeScheme, TextureOptions
@@ -293,7 +292,7 @@ def texture(
     area = area_of(reading, region, "face", "texture")
     lattice_um = lattice_of(area)
     z_um = scale_limited(lattice_um, area.pixel_um, options)
-    noise = _noise(reading, area, options)
+    noise = noise_of(reading, noise_um, area.points.x_um, area.points.y_um, area.level)
     lines = _lines(reading, lattice_um, area.pixel_um, options, noise) if noise is not None else {}
     left = z_um[np.isfinite(z_um)]
     sq_um = float(np.sqrt(np.mean(left**2)))
@@ -308,7 +307,8 @@ def texture(
         *noise_notes(reading, options.noise_um, noise),
     )
     curve = material_ratio_curve(left)
-    heights = {**length_parameters(left, curve, options), **({} if flat else five_heights(z_um))}
+    tops = None if flat else peaks_and_pits(z_um)
+    heights = {**length_parameters(left, curve, options), **({} if tops is None else five_heights(*tops))}
     lengths = {
         field: reading.length(value_um, with_scale(reading, value_um, lines[field]) if field in lines else None)
         for field, value_um in heights.items()
@@ -324,7 +324,7 @@ def texture(
         smr2_fraction=found.smr2,
         smr_fraction=None if c_um is None else float(np.mean(left >= c_um)),
         **waves,
-        **_peak_fields(z_um, area.pixel_um, flat),
+        **({} if tops is None else peak_numbers(z_um, tops[0], area.pixel_um)),
         points=len(left),
         measured_fraction=area.measured_fraction,
     )
@@ -350,10 +350,6 @@ def length_parameters(left: Floats, curve: Floats, options: TextureOptions) -> d
     }
 
 
-def _peak_fields(z_um: Floats, pixel_um: float, flat: bool) -> dict[str, Any]:
-    return {} if flat else {**peak_numbers(z_um, pixel_um)}
-
-
 def _moments(left: Floats, sq_um: float, flat: bool) -> dict[str, float | None]:
     squares, n = left * left, len(left)
     return {
@@ -370,13 +366,6 @@ FILTERS_ROOM = 4.0
 """Smallest side, in lengths of the longest filter, of the part on which noise is evaluated."""
 
 
-def _noise(reading: MeasurementContext, area: Area, options: TextureOptions) -> float | None:
-    """Return the noise of the heights in um: the given one, or by their own uncertainty; None if there is no U."""
-    if not reading.calibrated or options.noise_um is not None:
-        return options.noise_um if reading.calibrated else None
-    return own_noise_um(reading, area.points.x_um, area.points.y_um, area.level)
-
-
 def _lines(
     reading: MeasurementContext, z_um: Floats, pixel_um: float, options: TextureOptions, noise_um: float
 ) -> dict[str, Lines]:
@@ -391,7 +380,7 @@ def _lines(
         return length_parameters(known, material_ratio_curve(known), options)
 
     def features(heights_um: Floats) -> dict[str, float]:
-        return five_heights(scale_limited(heights_um, pixel_um, whole), least=1)
+        return five_heights(*peaks_and_pits(scale_limited(heights_um, pixel_um, whole)), least=1)
 
     return {
         **length_lines(reading, evaluate, part, pixel_um, noise_um, EXTREMES),

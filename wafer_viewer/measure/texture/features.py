@@ -19,7 +19,7 @@ CURVATURE = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12
 
 
 @dataclass(frozen=True, slots=True)
-class Peaks:
+class HillTops:
     """Peaks after pruning, those at the border and beside holes left out: rows and columns [n], heights in um [n]."""
 
     rows: NDArray[np.intp]
@@ -27,7 +27,7 @@ class Peaks:
     height_um: Floats
 
 
-def peaks_of(z_um: Floats, least_um: float) -> Peaks:
+def peaks_of(z_um: Floats, least_um: float) -> HillTops:
     """Return the peaks of heights [row, col] whose hills are at least so high over their highest saddle.
 
     Hills that are lower are merged with the neighbour across that saddle (Wolf pruning of the change tree of ISO
@@ -45,25 +45,28 @@ def peaks_of(z_um: Floats, least_um: float) -> Peaks:
     places = np.array(maximum_position(surface, hills, np.arange(1, n + 1)), np.intp).reshape(-1, 2)
     inside = np.asarray(binary_erosion(valid, np.ones((3, 3))), bool)[places[:, 0], places[:, 1]]
     rows, cols = places[inside].T
-    return Peaks(rows, cols, z_um[rows, cols])
+    return HillTops(rows, cols, z_um[rows, cols])
 
 
-def five_heights(z_um: Floats, least: int = EXTREMES) -> dict[str, float]:
-    """Return S5p, S5v and S10z in um of heights [row, col] with mean 0; those with fewer than `least` are left out."""
+def peaks_and_pits(z_um: Floats) -> tuple[HillTops, HillTops]:
+    """Return the peaks of heights [row, col], and those of the surface turned over, after pruning of 5 % of Sz."""
     least_um = PRUNED * float(np.ptp(z_um[np.isfinite(z_um)]))
+    return peaks_of(z_um, least_um), peaks_of(-z_um, least_um)
+
+
+def five_heights(peaks: HillTops, pits: HillTops, least: int = EXTREMES) -> dict[str, float]:
+    """Return S5p, S5v and S10z in um of a surface with mean 0; those with fewer than `least` are left out."""
     found = {
-        name: float(np.sort(heights)[-EXTREMES:].mean())
-        for name, heights in (("s5p", peaks_of(z_um, least_um).height_um), ("s5v", peaks_of(-z_um, least_um).height_um))
-        if len(heights) >= least
+        name: float(np.sort(tops.height_um)[-EXTREMES:].mean())
+        for name, tops in (("s5p", peaks), ("s5v", pits))
+        if len(tops.height_um) >= least
     }
     return {**found, "s10z": found["s5p"] + found["s5v"]} if len(found) == 2 else found
 
 
-def peak_numbers(z_um: Floats, pixel_um: float) -> dict[str, float | None]:
+def peak_numbers(z_um: Floats, peaks: HillTops, pixel_um: float) -> dict[str, Any]:
     """Return the density Spd of the peaks of heights [row, col], 1/mm², and their mean curvature Spc, 1/mm."""
-    valid = np.isfinite(z_um)
-    peaks = peaks_of(z_um, PRUNED * float(np.ptp(z_um[valid])))
-    area_mm2 = np.count_nonzero(valid) * float(pixel_um / 1000) ** 2
+    area_mm2 = np.count_nonzero(np.isfinite(z_um)) * float(pixel_um / 1000) ** 2
     curvatures = _curvatures(z_um, peaks) / pixel_um**2
     return {
         "spd_per_mm2": float(len(peaks.rows) / area_mm2),
@@ -71,7 +74,7 @@ def peak_numbers(z_um: Floats, pixel_um: float) -> dict[str, float | None]:
     }
 
 
-def _curvatures(z_um: Floats, peaks: Peaks) -> Floats:
+def _curvatures(z_um: Floats, peaks: HillTops) -> Floats:
     """Return the mean curvature of each peak per pixel squared, of those with all points that it needs."""
     reach = len(CURVATURE) // 2
     wide = np.pad(z_um, reach, constant_values=np.nan)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.pixel_noise import NOISE, own_noise_um
+from wafer_viewer.measure.base.pixel_noise import NOISE
 from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT
 from wafer_viewer.measure.texture.material_ratio import bearing, material_ratio_curve
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
-from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, with_scale
+from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, noise_of, with_scale
 from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, Roughness
@@ -151,7 +151,7 @@ def roughness(
     evaluated = _evaluated(curve, pixel_um, options)
     left = evaluated.z_um[np.isfinite(evaluated.z_um)]
     rq_um = float(np.sqrt(np.mean(left**2)))
-    noise = _noise_um(reading, curve, line, options)
+    noise = noise_of(reading, noise_um, curve.x_um, curve.y_um, 0)
     lines = _lines(reading, curve, pixel_um, options, noise) if noise is not None else {}
     flat = rq_um <= ROUNDING * float(np.nanmax(np.abs(curve.z_um)))
     notes = (
@@ -290,17 +290,6 @@ def _crossings(z: Floats, least_um: float, least_px: float, place: NDArray[np.in
             kept.append(first)
         sign = float(np.sign(z[first]))
     return np.array(kept, np.intp)
-
-
-def _noise_um(
-    reading: MeasurementContext, curve: ProfileCurve, line: Region, options: RoughnessOptions
-) -> float | None:
-    """Return the noise of the heights in um: the given one, or by their own uncertainty; None if there is no U."""
-    if not reading.calibrated:
-        return None
-    if options.noise_um is not None:
-        return options.noise_um
-    return own_noise_um(reading, curve.x_um, curve.y_um, 0)
 
 
 def _lines(

@@ -10,7 +10,7 @@ import numpy as np
 from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.measurement_context import WINDOW, Z_SCALE, Lines, MeasurementContext
-from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, NOISE, noise_lines, window_covariance
+from wafer_viewer.measure.base.pixel_noise import BIAS_SHARE, NOISE, noise_lines, own_noise_um, window_covariance
 from wafer_viewer.numerics.filters.sliding_filters import mean_of_valid
 
 NOISE_KNOWN = "Noise of {:.3g} um{}: values are not corrected for it, U covers it."
@@ -24,6 +24,15 @@ LONGEST_NOISE = 4.0
 
 An S-filter removes the shorter noise and passes the longer one.
 """
+
+
+def noise_of(
+    reading: MeasurementContext, given_um: float | None, x_um: Floats, y_um: Floats, level: int
+) -> float | None:
+    """Return the noise of heights in um: the given one, or by their own uncertainty; None if there is no U."""
+    if not reading.calibrated:
+        return None
+    return own_noise_um(reading, x_um, y_um, level) if given_um is None else given_um
 
 
 def noise_notes(reading: MeasurementContext, given_um: float | None, noise_um: float | None) -> tuple[str, ...]:

@@ -310,7 +310,7 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     failing = _failing(counted, limits)
     lacking = tuple(die.name for die in inspection.dies if _lacks_area(die, inspection))
     lying = _lying_badly(inspection, limits)
-    exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits), *lying.values())
+    exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits), *(sentence for sentence, _ in lying))
     undecided = (*_not_inspected(lacking, inspection), *_gaps(inspection), *_not_countable(inspection, limits))
     word: Word = "fail" if exceeded else "no verdict" if undecided else "pass"
     return DefectVerdict(
@@ -319,7 +319,7 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
         inspected_fraction=inspection.inspected_fraction,
         counted=len(counted),
         per_mm2=per_mm2,
-        failing=tuple(dict.fromkeys((*failing, *(name for names in lying for name in names)))),
+        failing=tuple(dict.fromkeys((*failing, *(name for _, names in lying for name in names)))),
         not_inspected=lacking,
         why=(*exceeded, *undecided),
     )
@@ -419,9 +419,9 @@ def _too_many(failing: tuple[str, ...], limits: DefectLimits) -> tuple[str, ...]
     return (f"More than {most} on {dies}: {_listed(failing)}.",)
 
 
-def _lying_badly(inspection: Inspection, limits: DefectLimits) -> dict[tuple[str, ...], str]:
-    """Return a sentence for each limit of the dies that some exceed, by their names."""
-    found: dict[tuple[str, ...], str] = {}
+def _lying_badly(inspection: Inspection, limits: DefectLimits) -> list[tuple[str, tuple[str, ...]]]:
+    """Return a sentence for each limit of the dies that some exceed, and their names."""
+    found: list[tuple[str, tuple[str, ...]]] = []
     measured = [(die.name, die.measured) for die in inspection.dies if die.measured is not None]
     for name, limit in limits.of_dies.items():
         off = [(die, abs(at.value(name))) for die, at in measured if abs(at.value(name)) > limit]
@@ -429,7 +429,7 @@ def _lying_badly(inspection: Inspection, limits: DefectLimits) -> dict[tuple[str
             farthest = sorted(off, key=lambda one: -one[1])
             names = tuple(f"{die} ({value:.3g})" for die, value in farthest)
             sentence = f"{name.capitalize()} over {limit:g} {DIE_UNITS[name]}: {_listed(names)}."
-            found[tuple(die for die, _ in farthest)] = sentence
+            found.append((sentence, tuple(die for die, _ in farthest)))
     return found
 
 

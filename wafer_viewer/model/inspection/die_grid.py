@@ -165,7 +165,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
         return f"{col},{row}"
 
 
-class DieSize(Spec, frozen=True, kw_only=True):
+class ProductDies(Spec, frozen=True, kw_only=True):
     """Pitches and size of the dies of a product, whose place on the surface is not known; size 0: not known."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError

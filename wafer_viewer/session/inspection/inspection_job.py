@@ -23,7 +23,7 @@ from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
 from wafer_viewer.model.acquisition.sample import Alignment, Sample
 from wafer_viewer.model.errors import ComputeError, DiesNotFound, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import FORM_SEES, Against, DefectRecipe, Inspection
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
+from wafer_viewer.model.inspection.die_grid import DieGrid, ProductDies
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
@@ -96,12 +96,12 @@ class GivenDies:
                 return self._fitted(surface, named, evidence)
         return FittedDies(find_dies(surface, evidence=evidence, size=size))
 
-    def _size(self, dataset_job: Job | None) -> DieSize | None:
+    def _size(self, dataset_job: Job | None) -> ProductDies | None:
         """Return the pitch and size of dies whose place is not known: given, of a KLARF, or of an unaligned job."""
         if self.pitch_um is not None:
             width_um, height_um = self.size_um or (0.0, 0.0)
             pitch = {"pitch_x_um": self.pitch_um[0], "pitch_y_um": self.pitch_um[1]}
-            return DieSize(**pitch, width_um=width_um, height_um=height_um)
+            return ProductDies(**pitch, width_um=width_um, height_um=height_um)
         if self.job is not None:
             return size_of_klarf(self.job) if is_klarf(self.job) else None
         return size_of_job(dataset_job) if dies_of_job(dataset_job) is None else None
@@ -149,11 +149,11 @@ def dies_of_job(job: Job | None) -> DieGrid | None:
     return DieGrid.of(job.dies, job.alignment or Alignment())
 
 
-def size_of_job(job: Job | None) -> DieSize | None:
+def size_of_job(job: Job | None) -> ProductDies | None:
     """Return the pitch and size of the dies of a job with a lattice."""
     if job is None or job.dies is None or job.dies.listed:
         return None
-    return DieSize(**{name: getattr(job.dies, name) for name in DieSize.__struct_fields__})
+    return ProductDies(**{name: getattr(job.dies, name) for name in ProductDies.__struct_fields__})
 
 
 def is_klarf(path: Path) -> bool:
@@ -161,12 +161,12 @@ def is_klarf(path: Path) -> bool:
     return path.suffix.lower() != ".toml"
 
 
-def size_of_klarf(path: Path) -> DieSize:
+def size_of_klarf(path: Path) -> ProductDies:
     """Return the pitch of the dies of a KLARF, which does not have their size."""
     from wafer_viewer.store.tables.klarf import read_klarf
 
     klarf = read_klarf(path)
-    return DieSize(pitch_x_um=klarf.pitch_x_um, pitch_y_um=klarf.pitch_y_um)
+    return ProductDies(pitch_x_um=klarf.pitch_x_um, pitch_y_um=klarf.pitch_y_um)
 
 
 # ------------------------------------------------------------------------------------------------------- inspection job
@@ -281,7 +281,7 @@ def _noise_of(planes: dict[str, NDArray[Any]]) -> NoiseModel:
     return NoiseModel(**facts, **shared)
 
 
-Dies = DieGrid | DieSize | Literal["found"] | None
+Dies = DieGrid | ProductDies | Literal["found"] | None
 """Source of the die lattice: given, detected with or without a known size, or None: the job's, else detected."""
 MARK_DIGITS = 16
 BY_FORM = "Or compare with the fitted form (--against form)."
@@ -354,7 +354,7 @@ def _die_grid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
 
     if isinstance(dies, DieGrid):
         return over_surface(fitted_dies(surface, dies).grid, surface)
-    if isinstance(dies, DieSize):
+    if isinstance(dies, ProductDies):
         return find_dies(surface, size=dies)
     return find_dies(surface) if dies == "found" else GivenDies().on(surface, data.scan.job).grid
 

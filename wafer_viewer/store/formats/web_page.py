@@ -56,9 +56,9 @@ def write_web_page(strips: Strips, path: Path) -> None:
     }
     page = _TEMPLATE.read_text(encoding="utf-8")
     for mark, text in (
-        ("{{facts}}", _json(facts)),
         ("{{heights}}", _text(zlib.compress(_easy_to_compress(codes), 6))),
         ("{{picture}}", _text(jpeg(eight_bits(picture), 88))),
+        ("{{facts}}", _json(facts)),  # last: what people wrote may look like a mark
     ):
         page = page.replace(mark, text)
     path.write_text(page, encoding="utf-8")

@@ -43,7 +43,7 @@ from wafer_viewer.gui.steps.review.inspection_form import (
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.defect_classes import ClassRules
-from wafer_viewer.model.inspection.die_grid import DieSize
+from wafer_viewer.model.inspection.die_grid import ProductDies
 from wafer_viewer.model.spec import replace
 
 INSPECTION = found(PLANTED)
@@ -243,7 +243,7 @@ def test_a_rectangle_between_equal_corners_of_two_dies_gives_the_pitch_to_search
     PICKS["defect-pitch"](here, "")
     inputs(here)["Die, µm"].put("280 × 180")
     inputs(here)["Inspect"].act()
-    assert here.page.asked[0][2] == DieSize(pitch_x_um=300.25, pitch_y_um=200.0, width_um=280.0, height_um=180.0)
+    assert here.page.asked[0][2] == ProductDies(pitch_x_um=300.25, pitch_y_um=200.0, width_um=280.0, height_um=180.0)
 
 
 def test_limits_are_sent_to_the_inspection_that_is_there_only():

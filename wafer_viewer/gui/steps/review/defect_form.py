@@ -20,7 +20,7 @@ from wafer_viewer.model.inspection.defect import (
     headline,
     verdict_of,
 )
-from wafer_viewer.model.inspection.die_grid import DieGrid, DieSize
+from wafer_viewer.model.inspection.die_grid import DieGrid, ProductDies
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, Setting, Spec, replace
 from wafer_viewer.session.inspection.inspection_job import Dies
@@ -187,7 +187,7 @@ def dies_of(form: DefectForm) -> Dies:
         )
     if corner is None:
         known = {"width_um": width, "height_um": height} if size is not None else {}
-        return DieSize(pitch_x_um=pitch_x, pitch_y_um=pitch_y, **known)
+        return ProductDies(pitch_x_um=pitch_x, pitch_y_um=pitch_y, **known)
     return DieGrid(
         pitch_x_um=pitch_x,
         pitch_y_um=pitch_y,
