@@ -108,10 +108,29 @@ CUT = "Filter: half its length along the border is not evaluated."
 
 
 def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Floats:
-    """Remove form, S-filtered and L-filtered waves from heights [row, col]; the result has zero mean.
+    """Remove form, S-filtered and L-filtered waves from heights.
 
     The S-filter is applied to the residual from the form: it preserves polynomials, and a tilt causes no edge effects.
-    Raises MeasureError where a filter is longer than the face, or its points do not determine the form.
+
+    Parameters
+    ----------
+    z_um : (row, col) array of float
+        Heights in um; NaN where nothing was measured.
+    pixel_um : float
+        Width of a pixel in um.
+    options : TextureOptions
+        The form's order, the nesting indices, and what becomes of the borders.
+
+    Returns
+    -------
+    (row, col) array of float
+        Scale-limited heights in um, of zero mean; NaN where nothing was measured, and at borders that are cut.
+
+    Raises
+    ------
+    MeasureError
+        Where a filter is longer than the face, or its points do not determine the form, or too little is left of it
+        without its borders.
     """
     _require_room(z_um.shape, pixel_um, options)
     left = _without_form(z_um - np.nanmean(z_um), options.form_order)
