@@ -9,17 +9,19 @@
 | metal | rough ground whose highlights saturate | gather, waves |
 | boards | circuit boards with parts, ten photographs | layers, one over the other |
 | bare | ground without texture, and overexposed ground, on relief and stairs | gather |
+| holes | ground without texture in textured surroundings: squares, rings, patches, in light that fades | gather |
+| particles | small particles and narrow ridges on flat ground | gather, layers |
 
-Only trenches, boards, stairs and some steps have walls. The gathering renderer reads each pixel from the picture that
-is blurred by its own distance from the focus; the layers of a board hide what lies below them. Lenses blur by a
-Gaussian or a disc, at a rate that only the scene knows, or by waves. Seeds below 1000 are for tuning, and figures are
-reported on seeds from 1000 on.
+Only trenches, boards, particles, stairs and some steps have walls. The gathering renderer reads each pixel from the
+picture that is blurred by its own distance from the focus; the layers of a board hide what lies below them. Lenses blur
+by a Gaussian or a disc, at a rate that only the scene knows, or by waves. Seeds below 1000 are for tuning, and figures
+are reported on seeds from 1000 on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -389,6 +391,78 @@ def bare(seed: int) -> FamilyScene:
     return shot(about, seed, light, height_um, z_um, lens, camera, known=bool(seed % 2) and rng.random() < 0.5)
 
 
+def holes(seed: int) -> FamilyScene:
+    """Ground whose texture hardly rises over the noise, or not at all: its surroundings vouch for it wrongly."""
+    rng = np.random.default_rng((seed, 57))
+    shape = (192, 256)
+    lens, step_um = wave_lens(rng) if seed % 2 else unknown_lens(rng, log_uniform(rng, 0.15, 0.8))
+    name = str(rng.choice(["plane", "plane", "waves", "sphere", "cone"]))
+    height_um = smooth(name, shape, rng) * step_um * rng.uniform(2, 30)
+    z_um = swept(0.0, float(height_um.max()), step_um, rng, (20, 80))
+    inside = hole(str(rng.choice(["square", "ring", "patches"])), shape, rng)
+    faint = 0.0 if rng.random() < 0.5 else log_uniform(rng, 0.002, 0.05)
+    contrast = np.where(inside, faint, 1.0) * log_uniform(rng, 0.05, 0.5)
+    grey, texture = rng.uniform(0.25, 0.6), grain(shape, rng)
+    if rng.random() < 0.5:
+        light = gathered(grey * (1 + contrast * texture), height_um, z_um, lens)
+    else:
+        light = np.float32(grey) * (1 + contrast.astype(np.float32) * gathered(texture, height_um, z_um, lens))
+    fades = float(rng.choice([0.0, rng.uniform(-0.3, 0.3)]))
+    fading = np.linspace(1 + fades, 1 - fades, len(z_um), dtype=np.float32)[:, None, None]
+    camera = noisy(rng, 0.5, 4) if rng.random() < 0.5 else Camera(log_uniform(rng, 4e3, 4e4), rng.uniform(0.2, 1.5))
+    about = f"{100 * inside.mean():.0f} % bare on {name}"
+    scene = shot(about, seed, light, height_um, z_um, lens, camera, known=bool(seed % 2) and rng.random() < 0.5)
+    images = np.rint(scene.stack.images * fading).clip(0, 255).astype(np.uint8)  # a lamp, or a gain, that changes
+    return replace(scene, stack=replace(scene.stack, images=images))
+
+
+def hole(kind: str, shape: tuple[int, int], rng: Rng) -> NDArray[np.bool_]:
+    """A mask of squares, of rings, or of irregular patches, of any size."""
+    if kind == "patches":
+        return patches(shape, float(rng.uniform(0.1, 0.6)), log_uniform(rng, 4, 40), rng)
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    found = np.zeros(shape, np.bool_)
+    for _ in range(int(rng.integers(1, 5))):
+        middle, half = rng.uniform(0, 1, 2) * shape, np.array([log_uniform(rng, 6, 60), log_uniform(rng, 6, 60)])
+        away = np.abs(row - middle[0]) / half[0], np.abs(col - middle[1]) / half[1]
+        if kind == "square":
+            found |= np.maximum(*away) < 1
+        else:
+            found |= np.abs(np.hypot(*away) - 0.75) < 0.25
+    return found
+
+
+def particles(seed: int) -> FamilyScene:
+    rng = np.random.default_rng((seed, 58))
+    shape = (192, 256)
+    lens, step_um = wave_lens(rng, 0.2) if seed % 2 else unknown_lens(rng, log_uniform(rng, 0.15, 0.6))
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    fine = log_uniform(rng, 0.03, 0.3)
+    ground = rng.uniform(0.15, 0.7)
+    layers = [Layer(ground * (1 + fine * grain(shape, rng)), np.ones(shape), 0.0)]
+    height_um, seen = np.zeros(shape), layers[0].light.copy()
+    for rise in np.sort(rng.uniform(4, 30, int(rng.integers(5, 10)))):
+        middle, across = rng.uniform(0, 1, 2) * shape, log_uniform(rng, 2, 14)
+        along = across * (rng.uniform(3, 12) if rng.random() < 0.3 else rng.uniform(1, 1.5))
+        turn = rng.uniform(0, np.pi)
+        down, right = row - middle[0], col - middle[1]
+        away = np.hypot(
+            (np.cos(turn) * down + np.sin(turn) * right) / across, (np.cos(turn) * right - np.sin(turn) * down) / along
+        )
+        covers = away < 1
+        light = (ground * rng.uniform(0.4, 1.6) * (1 + fine * grain(shape, rng))).clip(0.02, 0.98)
+        layers.append(Layer(light, covers.astype(float), rise * step_um))
+        dome = np.sqrt(np.clip(1 - away**2, 0, None)) if seed % 4 < 2 else np.ones(shape)
+        height_um = np.where(covers, rise * step_um * dome, height_um)
+        seen = np.where(covers, light, seen)
+    z_um = swept(0.0, float(height_um.max()), step_um, rng, (20, 80))
+    domes = seed % 4 < 2
+    light = gathered(seen, height_um, z_um, lens) if domes else layered(layers, z_um, lens)
+    camera = Camera(log_uniform(rng, 4e3, 4e4), float(rng.uniform(0.2, 1.5)))
+    about = f"{len(layers) - 1} {'domes' if domes else 'flat parts'}"
+    return shot(about, seed, light, height_um, z_um, lens, camera, known=bool(seed % 2) and rng.random() < 0.5)
+
+
 FAMILIES: dict[str, Callable[[int], FamilyScene]] = {
     "trenches": trenches,
     "print": printed,
@@ -397,4 +471,6 @@ FAMILIES: dict[str, Callable[[int], FamilyScene]] = {
     "metal": metal,
     "boards": boards,
     "bare": bare,
+    "holes": holes,
+    "particles": particles,
 }
