@@ -164,7 +164,7 @@ def show_compile_times() -> None:
 
 
 def compile_all() -> None:
-    from wafer_viewer.numerics.filters import denoising, interpolation, regions
+    from wafer_viewer.numerics.filters import denoising, interpolation
 
     z = np.random.default_rng(0).normal(0, 1, (60, 70)).astype(np.float32)
     z[20:24, 20:24] = np.nan
@@ -176,8 +176,6 @@ def compile_all() -> None:
         "pairs": lambda: denoising.pair_mean(z, 1.0),
         "neighbours near": lambda: denoising.few_near(padded[3], 1.0, 15),
         "distances": lambda: denoising.mean_distances(padded[3], *at, 15),
-        "narrow parts": lambda: regions.narrow_parts(z, 1.0, 6),
-        "islands": lambda: regions.component_sizes(z, 1.0),
         "splines": lambda: interpolation.fill_gaps(z, 9, 1.0),
         "(guided, switching: far)": lambda: denoising.median_outliers(padded[2], np.float32(1)),
         "(guided, switching: medians)": lambda: denoising.medians_at(padded[2], *at),
@@ -219,7 +217,7 @@ def show_rules(seen: Seen) -> None:
     known = np.isfinite(seen.z_um)
     false = known & (np.abs(seen.z_um - seen.truth_um) > FALSE_UM)
     print(f"  gated: {known.mean():.1%} kept, {false.sum() / known.sum():.2%} of it false")
-    for name in ("", "far_on_lattice", "_moved", "narrow_parts", "small_islands"):
+    for name in ("", "far_on_lattice", "_moved"):
         with without(name):
             dropped = find_outliers(seen.z_um, smoothed, PIXEL_UM, seen.recipe)
         kept = known & ~dropped

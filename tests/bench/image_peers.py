@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.filters import apply_hysteresis_threshold
 from skimage.measure import CircleModel, LineModelND, label, ransac, regionprops_table
-from skimage.morphology import dilation, footprint_rectangle, opening, reconstruction, remove_small_objects
+from skimage.morphology import dilation, footprint_rectangle, reconstruction, remove_small_objects
 
 from tests.bench.harness import read_options, took
 from tests.support.made_up_pictures import disc, strip
@@ -26,7 +26,6 @@ from wafer_viewer.measure.tools.circle import CIRCLE_SEARCH, Ring, find_circle, 
 from wafer_viewer.numerics.filters.regions import (
     component_sizes,
     dilated,
-    narrow_parts,
     region_maxima,
     regions_with_peaks,
 )
@@ -34,7 +33,7 @@ from wafer_viewer.numerics.filters.regions import (
 RUNS = 9
 HIGH, LOW = 5.0, 3.0
 """Thresholds of scores in deviations."""
-REACH_PX, SIDE_PX, LEAST_PX = 4, 9, 81
+REACH_PX, LEAST_PX = 4, 81
 LEVEL_UM, STEP_UM = 10.0, 1.0
 """Distance of the levels, and the largest step within one component."""
 RADIUS_PX, SLOPE, SEEDS = 60.0, 0.02, 5
@@ -95,14 +94,9 @@ def of_scores(side: int) -> Iterator[Case]:
 def of_heights(side: int) -> Iterator[Case]:
     z_um = heights(side)
     known = np.isfinite(z_um)
-    square = footprint_rectangle((SIDE_PX, SIDE_PX))
 
     def objects() -> np.ndarray:
         return known & ~remove_small_objects(known, max_size=LEAST_PX - 1)
-
-    def opened() -> np.ndarray:
-        wider = np.pad(known, SIDE_PX, mode="edge")
-        return known & ~opening(wider, square)[SIDE_PX:-SIDE_PX, SIDE_PX:-SIDE_PX]
 
     def by_scipy() -> np.ndarray:
         labels = np.asarray(ndimage.label(known)[0], np.intp)
@@ -112,9 +106,7 @@ def of_heights(side: int) -> Iterator[Case]:
 
     for words, step_um in (("a step parts", STEP_UM), ("no step parts", np.inf)):
         components = (lambda step: lambda: known & (component_sizes(z_um, step) < LEAST_PX))(step_um)
-        narrow = (lambda step: lambda: narrow_parts(z_um, step, SIDE_PX))(step_um)
         yield Case(f"remove_small_objects, {words}", components, objects, same_pixels)
-        yield Case(f"opening, {words}", narrow, opened, same_pixels)
     yield Case("remove_small_objects beside SciPy's label", by_scipy, objects, same_pixels)
 
 

@@ -89,7 +89,7 @@ def test_layers_agree_with_each_other(plane_map: HeightMap) -> None:
 
 def test_every_refused_peak_is_kept_with_its_height_and_its_reason(make_stack: MakeStack, plane_um: NDArray) -> None:
     contrast = np.ones(plane_um.shape)
-    contrast[:, 50:80] = 0.0
+    contrast[:, 40:80] = 0.0
     z_um = np.arange(20.0, 104.0, 4.0)
     height = reconstruct(make_stack(plane_um, z_um, contrast=contrast))
     refused = height.refused

@@ -86,8 +86,16 @@ GLOSSARY: tuple[Term, ...] = (
     Term("shape from focus", "Surface", "Heights from the z at which each pixel is sharpest.", "Nayar 1994; paper"),
     Term("focus measure", "Surface", "The measure of sharpness round a pixel in one frame.", "Pertuz 2013"),
     Term("focus curve", "Surface", "The focus measure of one pixel over z; its peak is the height."),
-    Term("gate", "Surface", "A test that a peak must pass; a pixel that fails one is unmeasured, with the reason."),
-    Term("confidence", "Surface", "How far a peak stands out of its focus curve, from 0 to 1."),
+    Term(
+        "gate",
+        "Surface",
+        "A test of a peak: peaks that pass all vouch for others; the first failed is the reason of improbable ones.",
+    ),
+    Term(
+        "confidence",
+        "Surface",
+        "Probability that a height is right by all its evidence; without gates, how far the peak stands out.",
+    ),
     Term(
         "uncertainty of a height",
         "Surface",

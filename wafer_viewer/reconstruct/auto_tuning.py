@@ -21,6 +21,7 @@ from wafer_viewer.reconstruct.focus.peak_search import Search, ThreadScratch, co
 from wafer_viewer.reconstruct.frame_blocks import Frames, StackWindow, developed
 from wafer_viewer.reconstruct.gates.edge_bleeding import EdgeSearch, edge_search_for
 from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
+from wafer_viewer.reconstruct.gates.evidence import auto_least_probability
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, Gate, gate_for, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
 
@@ -119,6 +120,8 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     resolution_um = max(1.0, width.um / frames.step_um / SUITABLE_WIDTH) * frames.step_um
     gate = gate_for(recipe, search, n_frames, resolution_um, _gap_share(recipe, search, frames.step_um))
     recipe = replace(recipe, min_confidence=gate.min_confidence)
+    if recipe.least_probability == "auto":
+        recipe = replace(recipe, least_probability=auto_least_probability(n_frames))
     maps = tiles.gated_um(search, gate) if recipe.heights_have_auto else []
     recipe = settle_cleaning(maps, recipe, resolution_um)
     edges = edge_search_for(recipe, search, n_frames, resolution_um)

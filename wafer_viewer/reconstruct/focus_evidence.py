@@ -15,6 +15,8 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import (
     CorrectedPeaks,
     PreparedField,
+    ReconstructedField,
+    WeighedHeights,
     prepare_field,
     reconstruct_from_peaks,
     search_peaks,
@@ -28,10 +30,6 @@ from wafer_viewer.reconstruct.gates.gate import POWERS, GateTest
 
 MOST_RIVALS = 3
 """Largest number of rivals that a focus curve lists."""
-_LEFT_OUT_BY_CLEANING = {
-    Origin.OUTLIER: "Does it agree with its neighbours?",
-    Origin.STEP_EDGE: "Are the heights around it of one surface?",
-}
 REACH_PX = 80
 """Half size of the reconstructed region around the pixel, larger than the reach of any gate."""
 COARSE_PX = 4
@@ -74,6 +72,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
     found = reconstruct_from_peaks(field, peaks, threads=1)
     height_um, origin = float(found.height_map.z_raw_um[r, c]), Origin(int(found.height_map.origin[r, c]))
     curve, grey = curve_at(field, r, c)
+    least = float(field.tuned.recipe.least_probability)
     return FocusCurve(
         field=stack.field.number,
         row=row,
@@ -88,9 +87,9 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
         peak_z_um=float(peaks.z_um[r, c]),
         height_um=_finite(height_um),
         origin=ORIGIN_TITLES[origin],
-        confidence=float(peaks.confidence[r, c]),
+        confidence=float(found.height_map.confidence[r, c]),
         rivals=rivals_of(z_um, curve, int(curve.argmax()), search.gap),
-        verdicts=(*verdicts_of(found.corrected, r, c), *cleaning_verdicts(origin)),
+        verdicts=(*verdicts_of(found.weighed, r, c, least), *cleaning_verdicts(found, r, c)),
         simulated=stack.simulated,
         u_um=None if found.height_map.u_um is None else _finite(float(found.height_map.u_um[r, c])),
     )
@@ -107,19 +106,29 @@ def curve_at(field: PreparedField, row: int, col: int) -> tuple[NDArray[np.float
     return np.exp2(log2 - log2.max()), frames.as_stored_counts(grey).astype(np.int64)
 
 
-def verdicts_of(corrected: CorrectedPeaks, row: int, col: int) -> tuple[Verdict, ...]:
-    """Return the verdict of every gate on a pixel, the most explanatory first, and of the tests at edges."""
-    tests = corrected.gated.tests
-    return (*(_gate_verdict(test, row, col) for test in tests), *_edge_verdicts(corrected, row, col))
+def verdicts_of(weighed: WeighedHeights, row: int, col: int, least_probability: float) -> tuple[Verdict, ...]:
+    """Return the verdict of every gate on a pixel, of the tests at edges, and of the probability of its height."""
+    corrected = weighed.corrected
+    gates = (_gate_verdict(test, row, col) for test in corrected.gated.tests)
+    probable = Verdict(
+        gate="evidence",
+        question="Is the height probable by all its evidence?",
+        score=float(weighed.probability[row, col]),
+        limit=least_probability,
+        unit="probability",
+        passed=bool(weighed.origin[row, col] == Origin.MEASURED),
+        note="Whatever speaks for it, no height counts there." if weighed.probability[row, col] == 0 else "",
+    )
+    return (*gates, *_edge_verdicts(corrected, row, col), *((probable,) if weighed.is_probability else ()))
 
 
-def cleaning_verdicts(origin: Origin) -> tuple[Verdict, ...]:
-    """Return the verdict of the cleaning step for a pixel that passed every gate."""
-    question = _LEFT_OUT_BY_CLEANING.get(origin)
-    if question is None:
+def cleaning_verdicts(found: ReconstructedField, row: int, col: int) -> tuple[Verdict, ...]:
+    """Return the verdict of the cleaning step for a pixel that counted before."""
+    before, height_map = found.weighed.origin[row, col], found.height_map
+    if before != Origin.MEASURED or np.isfinite(height_map.z_raw_um[row, col]):
         return ()
-    gate = origin.name.lower()
-    return (Verdict(gate=gate, question=question, score=None, limit=None, unit="", passed=False),)
+    question = "Does it agree with its neighbours?"
+    return (Verdict(gate="outlier", question=question, score=None, limit=None, unit="", passed=False),)
 
 
 def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:

@@ -47,31 +47,6 @@ def test_a_step_keeps_its_edges_next_to_unmeasured_pixels() -> None:
     assert not _found(z, _recipe()).any()
 
 
-def test_an_island_smaller_than_two_windows_is_an_outlier_and_a_larger_one_is_not() -> None:
-    z = np.zeros((80, 80))
-    z[10:22, 10:22], z[40:60, 40:60] = 50, 50
-    found = _found(z, _recipe())
-    assert found[10:22, 10:22].all()
-    assert not found[40:60, 40:60].any()
-
-
-def test_an_island_within_a_window_of_the_border_is_an_outlier_and_one_that_reaches_deeper_is_not() -> None:
-    z = np.full((120, 120), np.nan)
-    z[:, -9:], z[20:100, :40] = 50, 0
-    found = _found(z, _recipe())
-    assert found[:, -9:].all()
-    assert not found[20:100, :40].any()
-
-
-def test_a_strip_narrower_than_the_window_is_an_outlier_and_a_wider_one_is_not() -> None:
-    z = np.zeros((80, 80))
-    z[10:14, :], z[40:50, :] = 50, 50
-    found = _found(z, _recipe())
-    assert found[10:14].all()
-    assert not found[:9].any()
-    assert not found[16:].any()
-
-
 def test_what_smoothing_moved_too_far_was_not_measured() -> None:
     raw = np.zeros((40, 40), np.float32)
     raw[20, 20] = 9

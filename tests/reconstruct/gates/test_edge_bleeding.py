@@ -79,12 +79,17 @@ def dies() -> Taken:
 
 @pytest.fixture(scope="module")
 def mapped(dies: Taken) -> dict[str, HeightMap]:
-    """The map of the dies in every mode."""
-    return {mode: made(dies.stack, mode) for mode in ("none", "band", "rims")}
+    """The map of the dies in every mode; "none" without any evidence but the peaks' own."""
+    return {mode: made(dies.stack, mode) for mode in ("band", "rims")} | {"none": by_peaks(dies.stack)}
 
 
 def made(stack: FieldStack, mode: str, **changes: object) -> HeightMap:
     return reconstruct(stack, changed(RECIPE, edges=mode, **changes), threads=1)
+
+
+def by_peaks(stack: FieldStack, **changes: object) -> HeightMap:
+    """The map by the gates of single peaks alone."""
+    return made(stack, "none", least_probability=0.0, **changes)
 
 
 def kept_and_false(height: HeightMap, taken: Taken, where: NDArray[np.bool_] | None = None) -> tuple[float, float]:
@@ -137,7 +142,8 @@ def test_bleeding_is_a_reason_next_to_walls_only(dies: Taken, mapped: dict[str, 
 @pytest.mark.slow
 def test_beyond_the_band_nothing_changes(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     far = dies.scene.edge_distance_px > NEAR_WALL_PX
-    before, after = (mapped[mode].z_raw_um[far] for mode in ("none", "rims"))
+    by_edges = made(dies.stack, "rims", least_probability=0.0)
+    before, after = (one.z_raw_um[far] for one in (mapped["none"], by_edges))
     alike = np.isclose(before, after, equal_nan=True)
     assert alike.mean() > 0.98  # of islands cut by the band the cleaning sees the other part
 
@@ -145,7 +151,7 @@ def test_beyond_the_band_nothing_changes(dies: Taken, mapped: dict[str, HeightMa
 @pytest.mark.slow
 def test_bright_dies_over_a_dark_trench() -> None:
     taken = take(REVERSED, SHAPE, Z_UM)
-    before, after = (kept_and_false(made(taken.stack, mode), taken) for mode in ("none", "rims"))
+    before, after = (kept_and_false(one, taken) for one in (by_peaks(taken.stack), made(taken.stack, "rims")))
     assert before[1] > 0.1
     assert after[1] < 0.03
     assert after[0] > 0.66
@@ -155,7 +161,7 @@ def test_bright_dies_over_a_dark_trench() -> None:
 def test_the_glow_of_a_polished_rim_is_no_surface() -> None:
     taken = take(POLISHED, SHAPE, Z_UM)
     inside = (taken.scene.layer == 1) & ~taken.scene.edge
-    before, after = (kept_and_false(made(taken.stack, mode), taken, inside) for mode in ("none", "rims"))
+    before, after = (kept_and_false(one, taken, inside) for one in (by_peaks(taken.stack), made(taken.stack, "rims")))
     assert before[1] > 0.02
     assert after[1] < 0.002
     assert after[0] > 0.25
@@ -177,12 +183,9 @@ def test_sides_are_distinguished_where_the_nearest_wall_is_sharp() -> None:
     ("measure", "width_um", "false", "kept"), [("sml", 8.0, 0.06, 0.3), ("tenengrad", 14.0, 0.1, 0.0)]
 )
 def test_it_works_for_other_measures(dies: Taken, measure: str, width_um: float, false: float, kept: float) -> None:
-    before, after = (
-        kept_and_false(
-            made(dies.stack, mode, focus_measure=measure, window=13, focus_width_um=width_um), dies, dies.scene.edge
-        )
-        for mode in ("none", "rims")
-    )
+    how = {"focus_measure": measure, "window": 13, "focus_width_um": width_um}
+    maps = by_peaks(dies.stack, **how), made(dies.stack, "rims", **how)
+    before, after = (kept_and_false(one, dies, dies.scene.edge) for one in maps)
     assert before[1] > false
     assert after[0] * after[1] < 0.2 * before[0] * before[1]
     assert after[0] > kept

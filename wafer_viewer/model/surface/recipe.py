@@ -176,11 +176,12 @@ class Recipe(Spec, frozen=True, kw_only=True):
     """All settings from stack to surface. A result carries the recipe with the values chosen by ``auto``.
 
     focus_measure: a name in `focus_measures`; focus_width_um: full width at half maximum of a focus curve, which sets
-    the scale for competing maxima, flanks and edges; drift: correct frames shifted or scaled by more than half a pixel,
-    estimated per field; flicker: divide frames by their part of the light that
-    changes from frame to frame; compare_windows: require agreement with the height from a window twice as wide; edges:
-    treatment of walls between bright and dark heights: unchecked (`none`), required to agree with the surface further
-    from the wall (`band`), or searched again along the wall as well (`rims`).
+    the scale for competing maxima, flanks and edges; min_confidence: of the peaks that the gates accept, 0 for every
+    peak; least_probability: of a height that counts, by all its evidence, 0 for all that the gates accept; drift:
+    correct frames shifted or scaled by more than half a pixel, estimated per field; flicker: divide frames by their
+    part of the light that changes from frame to frame; compare_windows: require agreement with the height from a
+    window twice as wide; edges: treatment of walls between bright and dark heights: unchecked (`none`), required to
+    agree with the surface further from the wall (`band`), or searched again along the wall as well (`rims`).
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -194,6 +195,9 @@ class Recipe(Spec, frozen=True, kw_only=True):
     )
     min_confidence: Annotated[
         Annotated[float, Within(0, 1)] | Auto, Setting("Confidence from", "Least confidence of a height")
+    ] = "auto"
+    least_probability: Annotated[
+        Annotated[float, Within(0, 1)] | Auto, Setting("Probability from", "Least probability of a height that counts")
     ] = "auto"
     clipped_fraction: Annotated[
         float,
@@ -248,8 +252,8 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
     @property
     def has_auto(self) -> bool:
-        """True if any setting is ``auto``."""
-        return "auto" in _values(msgspec.to_builtins(self))
+        """True if any setting is chosen from the data; the least probability depends on the number of frames."""
+        return "auto" in _values(msgspec.to_builtins(replace(self, least_probability=0.0)))
 
     @property
     def heights_have_auto(self) -> bool:

@@ -21,13 +21,13 @@ class LocalPlanes(NamedTuple):
     """Planes fitted to the finite pixels of the window around each pixel, all float64 [row, col].
 
     coverage: finite fraction of the part of the window inside the map; gradient: steepest slope, height per pixel;
-    residual: root mean square distance from the plane; explained: fraction of the variance that the plane explains.
+    residual: root mean square distance from the plane; height: of the plane at the pixel, NaN where no pixel is finite.
     """
 
     coverage: Plane
     gradient: Plane
     residual: Plane
-    explained: Plane
+    height: Plane
 
 
 def local_planes(z: NDArray[np.floating], size: int) -> LocalPlanes:
@@ -36,7 +36,8 @@ def local_planes(z: NDArray[np.floating], size: int) -> LocalPlanes:
     At the border of the map the window is cut off. Where the finite pixels do not determine a plane its gradient is 0.
     """
     valid = np.isfinite(z)
-    heights = np.where(valid, z - (np.mean(z[valid]) if valid.any() else 0), 0).astype(np.float64)
+    base = np.mean(z[valid]) if valid.any() else 0
+    heights = np.where(valid, z - base, 0).astype(np.float64)
     rows, cols = (np.arange(n, dtype=np.float64) - (n - 1) / 2 for n in z.shape)
     y, x, w = rows[:, None], cols[None, :], valid.astype(np.float64)
     n = np.maximum(_sums(w, size), 0.5)
@@ -51,9 +52,9 @@ def local_planes(z: NDArray[np.floating], size: int) -> LocalPlanes:
     inverse = np.divide(1.0, determinant, out=np.zeros_like(n), where=determinant > _LEAST_DETERMINANT)
     down, right = inverse * (xx * zy - xy * zx), inverse * (yy * zx - xy * zy)
     off = np.maximum(zz - down * zy - right * zx, 0)
-    explained = 1 - np.divide(off, zz, out=np.zeros_like(n), where=zz > 0)
     coverage = _sums(w, size) / _sums(np.ones(z.shape), size)
-    return LocalPlanes(coverage, np.hypot(down, right), np.sqrt(off), explained)
+    height = np.where(coverage > 0, base + mean_z + down * (y - mean_y) + right * (x - mean_x), np.nan)
+    return LocalPlanes(coverage, np.hypot(down, right), np.sqrt(off), height)
 
 
 _LEAST_DETERMINANT = 1e-3

@@ -39,17 +39,6 @@ def _blank(z: Float32s, mask: Bools) -> None:
         z[i] = np.float32(np.nan) if mask[i] else z[i]
 
 
-def narrow_parts(z: Float32s, max_step: Real, side: Int) -> Bools:
-    """Return a mask of finite pixels in no fully connected square of side x side finite pixels; bool [row, col].
-
-    The map is extended by its edge values, so a component cut by the border does not count as narrow for that.
-    """
-    wider = np.pad(z, side, mode="edge")
-    covered = np.zeros(wider.shape, np.bool_)
-    _cover(wider, np.float32(max_step), side, np.zeros((2, wider.shape[1]), np.int32), covered)
-    return np.isfinite(z) & ~covered[side:-side, side:-side]
-
-
 @lean_kernel
 def _join_alike(z: Float32s, max_step: Real, runs: Int32s, root: Int32s, count: Int32s, sizes: Int32s) -> None:
     """Union-find of the runs of connected pixels of a row; a root is the first run of its component.
@@ -93,34 +82,6 @@ def _join_rows(above: Float32s, row: Float32s, max_step: Real, runs_above: Int32
             root[max(a, b)] = min(a, b)
 
 
-@lean_kernel
-def _cover(z: Float32s, max_step: Real, side: Int, scratch: Int32s, covered: Bools) -> None:
-    """Mark the pixels covered by connected squares: from their lower right pixels leftward, then upward.
-
-    squares: side of the largest connected square with its lower right pixel at each pixel of the row.
-    """
-    n_rows, n_cols = z.shape
-    for r in range(n_rows):
-        above, squares = scratch[(r + 1) % 2], scratch[r % 2]
-        for c in range(n_cols):
-            v = z[r, c]
-            squares[c] = v == v
-            if r and c:
-                joined = abs(v - z[r - 1, c]) <= max_step and abs(v - z[r, c - 1]) <= max_step
-                if joined and abs(v - z[r - 1, c - 1]) <= max_step:
-                    squares[c] = 1 + min(above[c], squares[c - 1], above[c - 1])
-        left = 0
-        for c in range(n_cols - 1, -1, -1):
-            left = side if squares[c] >= side else max(left - 1, 0)
-            covered[r, c] = left > 0
-    up = scratch[0]
-    up[:] = 0
-    for r in range(n_rows - 1, -1, -1):
-        for c in range(n_cols):
-            up[c] = side if covered[r, c] else max(up[c] - 1, 0)
-            covered[r, c] = up[c] > 0
-
-
 def region_maxima(plane: Float32s, least: Real, least_px: Int = 1) -> Float32s:
     """Return the maximum of each region of at least `least_px` pixels at or above `least`, in row-major order."""
     over = plane >= np.float32(least)
@@ -136,23 +97,6 @@ def regions_with_peaks(low: Bools, peaks: Bools) -> Bools:
     if n:
         _mark_regions_with_peaks(np.ascontiguousarray(peaks & low), low.copy(), np.empty(n, np.int32), found)
     return found
-
-
-def border_components(mask: Bools, depth: int) -> Bools:
-    """Return a mask of the components that lie within `depth` pixels of the border; bool [row, col].
-
-    None in a map without a pixel deeper than that.
-    """
-    if min(mask.shape) <= 2 * depth:
-        return np.zeros(mask.shape, np.bool_)
-    strip, line = mask.copy(), mask.copy()
-    strip[depth + 1 : -depth - 1, depth + 1 : -depth - 1] = False
-    inside = np.zeros(mask.shape, np.bool_)
-    inside[depth:-depth, depth:-depth] = True
-    line &= inside
-    deep = regions_with_peaks(strip, line)
-    deep |= inside
-    return mask & ~deep
 
 
 def dilated(mask: Bools, reach_px: Int) -> Bools:

@@ -1,25 +1,10 @@
-"""Cleaning of gated heights: smoothing, removal of outliers and step edges, filling of gaps.
+"""Cleaning of heights: smoothing, removal of outliers, filling of gaps.
 
 Outliers: `cloud` is the paper's form: neighbours in the point cloud, with their mean distance compared to its mean and
 deviation over the field. `lattice` takes the neighbours among the surrounding pixels and measures along z. On a clean
 field that deviation is tiny and the rule would remove the edges of steps, so it has a lower bound.
 
-`lattice` detects three more kinds of isolated pixels: those that smoothing moved by much more than usual, those on
-strips narrower than three quarters of the focus window, and those on islands smaller than the square of two windows or
-within a window of the border. Any real structure appears at least as wide as the window; smaller ones are artefacts of
-light that bleeds over an edge.
-
-Edges of steps: a window across a jump sees the focus of both sides, and the sharper side wins, independent of the
-position of the jump. Where a silhouette separates the sides their heights are tested against them; here jumps without
-one are handled.
-
-The light of a defocused bright line ends in a disc, whose rim looks sharp everywhere: it creates a surface that falls
-away from the line as steeply as the aperture is wide. That is a jump within the window too.
-
-Unsupported heights: false ones that pass every other test are uneven, at the margin of what is measured, on small
-islands. None of this alone tells them apart; a height counts as an outlier where the product is large. Heights found by
-the focus along a wall are exempt: they lie at the margin because the wall does. What is then left of an island must
-still be as large as one, and heights along a wall must join others.
+`lattice` also detects pixels that smoothing moved by much more than usual.
 """
 
 from __future__ import annotations
@@ -32,18 +17,15 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
 from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
-from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows, local_planes
-from wafer_viewer.numerics.filters.regions import blank, blanked, border_components, component_sizes, narrow_parts
-from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean
+from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
+from wafer_viewer.numerics.filters.regions import blank, blanked
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, median
 from wafer_viewer.numerics.open3d_library import load_open3d
 from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
-from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
 
 MAX_STEP_FRAMES = 1.5
 """A gap whose sides differ by more than one and a half steps of the sweep is a step of the surface."""
@@ -69,9 +51,6 @@ def mark_filled(origin: NDArray[np.uint8], z_um: NDArray[np.float32]) -> NDArray
     return np.where((origin != Origin.MEASURED) & np.isfinite(z_um), np.uint8(Origin.FILLED), origin)
 
 
-BRIDGED_PX = 2
-"""Gaps up to this size are bridged when the width of a strip is measured."""
-
 _SAMPLE_EVERY_PX = 7
 """Stride at which moves by smoothing and distances to neighbours are sampled, in pixels."""
 _MOVED_DEVIATIONS = 6.0
@@ -93,35 +72,10 @@ def _none(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Fou
 
 
 def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
-    """Judge moved pixels at their smoothed position, so that one wrong pixel does not make a strip narrow."""
-    floor_um, window = float(recipe.outliers.floor_um), int(recipe.window)
+    """Judge moved pixels at their smoothed position, so that one wrong pixel does not condemn its neighbours."""
+    floor_um = float(recipe.outliers.floor_um)
     found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
-    found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
-    remaining = blanked(smoothed_um, found)
-    found |= _islands(remaining, component_sizes(remaining, floor_um), window)
     return found & np.isfinite(raw_um)
-
-
-def _islands(z_um: Map, sizes: NDArray[np.int32], window: int) -> Found:
-    """Detect islands smaller than the square of two windows, and those within a window of the border.
-
-    sizes: of the components. What the border cuts off may be a wall whose light is all that the window sees:
-    tests/truth/unseen.py.
-    """
-    measured = np.isfinite(z_um)
-    return (measured & (sizes < (2 * window) ** 2)) | border_components(measured, window)
-
-
-def _lone_islands(z_um: Map, tolerance_um: float, window: int, found_along: Found) -> Found:
-    """Detect the islands that all removals have left.
-
-    Of heights that the focus along a wall gave, those that join no others: they were expected from a surface further
-    from the wall, and where nothing is left of it they may be those of the outline: tests/truth/unseen.py.
-    """
-    sizes = component_sizes(z_um, tolerance_um)
-    along = blanked(z_um, ~found_along)
-    alone = np.isfinite(along) & (component_sizes(along, tolerance_um) == sizes) if found_along.any() else found_along
-    return (_islands(z_um, sizes, window) & ~found_along) | alone
 
 
 def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
@@ -183,102 +137,8 @@ FINDERS: dict[str, Callable[[Map, Map, float, Recipe], Found]] = {"none": _none,
 """Each takes the raw and the smoothed map, the pixel size and the settled recipe."""
 
 
-@dataclass(frozen=True, slots=True)
-class JumpParameters:
-    """Limits of the height range within a window that one surface may have: tests/truth/unseen.py.
-
-    Parameters
-    ----------
-    steps : float
-        Range from which there may be two surfaces, in steps of the resolution.
-    cone_share : float
-        Steepest slope of a surface, relative to the cone of light of the objective: bleeding light makes surfaces as
-        steep as the cone.
-    plane_share : float
-        Steepest slope of a surface that a plane describes over two windows, relative to the cone of light.
-    plane_coverage : float
-        Smallest measured fraction of these windows.
-    plane_residual : float
-        Largest root mean square distance from the plane, in steps of the resolution: tests/truth/relief.py.
-    plane_explained : float
-        Smallest fraction of the variance that the plane explains; a jump in the middle of the windows leaves a quarter.
-    """
-
-    steps: float = 1.0
-    cone_share: float = 0.6
-    plane_share: float = 0.7
-    plane_coverage: float = 0.7
-    plane_residual: float = 0.2
-    plane_explained: float = 0.9
-
-
-JUMP = JumpParameters()
-
-
-@dataclass(frozen=True, slots=True)
-class SupportParameters:
-    """Limits of the doubt in a height: unevenness times isolation.
-
-    Unevenness is the height range within about half a window, relative to the largest of one surface; isolation the sum
-    of the unmeasured share of a window and of the smallness of the island. Tuned on tests/truth/unseen.py.
-
-    Parameters
-    ----------
-    most_doubt : float
-        Largest doubt in a height that counts.
-    island_windows : float, windows
-        Side of the square as large as an island of smallness 1.
-    smallest : float
-        Largest smallness.
-    """
-
-    most_doubt: float = 0.2
-    island_windows: float = 4.0
-    smallest: float = 2.0
-
-
-SUPPORT = SupportParameters()
-
-_BEYOND_UM = np.float32(1e9)
-"""Magnitude of a height beyond all others, which stands for unmeasured ones."""
-
-
-def height_range_um(z_um: NDArray[np.float32], window: int) -> NDArray[np.float32]:
-    """Return the height range within about half a window of each pixel; at most 0 where there are none.
-
-    z_um: [row, col], NaN where unmeasured. Evaluated for 2 x 2 pixels together. At the border of the field the range is
-    taken within a full window, because heights cut off by the border are missing, and a slope must not look flatter
-    there.
-    """
-    cells = _range_cells(window)
-    top_um, bottom_um = (_of_cells(z_um, choose) for choose in (np.fmax, np.fmin))
-    high = highest(np.where(np.isnan(top_um), -_BEYOND_UM, top_um), cells)
-    low = lowest(np.where(np.isnan(bottom_um), _BEYOND_UM, bottom_um), cells)
-    return doubled(_full_windows(high - low, cells // 2), z_um.shape)
-
-
-def _range_cells(window: int) -> int:
-    """Return the side of the square of `height_range_um`, in cells of 2 x 2 pixels."""
-    return 2 * (window // 4) + 1
-
-
-def _full_windows(plane: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """Replace border values by those of the nearest window inside; unchanged if none fits."""
-    if min(plane.shape) <= 2 * reach or not reach:
-        return plane
-    return np.pad(plane[reach:-reach, reach:-reach], reach, mode="edge")
-
-
-def _of_cells(plane: NDArray[np.float32], choose: np.ufunc) -> NDArray[np.float32]:
-    """Reduce 2 x 2 pixels to one value; at an odd border the edge pixels repeat."""
-    rows, cols = plane.shape
-    padded = np.pad(plane, ((0, rows % 2), (0, cols % 2)), mode="edge") if rows % 2 or cols % 2 else plane
-    tall = choose(padded[::2], padded[1::2])
-    return np.asarray(choose(tall[:, ::2], tall[:, 1::2]), np.float32)
-
-
 OUTLIER_FLOOR_STEPS = 1.5
-"""Outlier floor of `auto`, and height tolerance within a remnant, in steps of the resolution."""
+"""Outlier floor of `auto`, in steps of the resolution."""
 
 MOST_ROUNDS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6, "sigma_filter": 2}
 """Maximum rounds per smoother. Two rounds of averages reach 8 px.
@@ -317,102 +177,25 @@ LEVY_TUNING = LevyTuningParameters()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cleaned:
-    """A cleaned map and the masks of removed heights.
+    """A cleaned map and the mask of removed heights.
 
-    z_um: smoothed, without removed heights, filled; raw_um: only without removed heights. outlier, step_edge: reason of
-    removal, bool [row, col].
+    z_um: smoothed, without outliers, filled; raw_um: only without outliers; outlier: bool [row, col].
     """
 
     z_um: Map
     raw_um: Map
     outlier: NDArray[np.bool_]
-    step_edge: NDArray[np.bool_]
 
 
-def clean(
-    z_um: Map,
-    pixel_um: float,
-    recipe: Recipe,
-    resolution_um: float,
-    side_is_known: NDArray[np.bool_] | None = None,
-    bleeding_um: Map | None = None,
-    found_along: NDArray[np.bool_] | None = None,
-) -> Cleaned:
-    """Clean a gated map, NaN where unmeasured, by a settled recipe.
+def clean(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> Cleaned:
+    """Clean a map, NaN where unmeasured, by a settled recipe.
 
-    resolution_um: axial resolution of the optics, the reference for steps of the surface; side_is_known: mask of pixels
-    with a known wall side, None if step edges are not requested; bleeding_um: heights rejected because light bled
-    there, NaN elsewhere: measured heights that continue from them also lie next to a jump; found_along: mask of the
-    heights that the focus along a wall gave, which need no support by others.
+    resolution_um: axial resolution of the optics, the reference for steps of the surface.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
-    raw, step_edge = blanked(z_um, outlier), np.zeros(z_um.shape, np.bool_)
-    if side_is_known is not None:
-        step_edge = _step_edges(raw, side_is_known, bleeding_um, pixel_um, recipe, resolution_um)
-        blank(raw, step_edge)
-        tolerance_um = OUTLIER_FLOOR_STEPS * resolution_um
-        sizes = component_sizes(raw, tolerance_um)
-        if step_edge.any():  # a sliver of a slope caused by bleeding light may look flat by itself
-            outlier |= _islands(raw, sizes, int(recipe.window)) & ~side_is_known
-            blank(raw, outlier)
-        if recipe.outliers.mode == "lattice":
-            exempt = np.zeros(z_um.shape, np.bool_) if found_along is None else found_along
-            outlier |= _unsupported(raw, sizes, pixel_um, recipe, resolution_um) & ~exempt
-            blank(raw, outlier)
-            outlier |= _lone_islands(raw, tolerance_um, int(recipe.window), exempt)
-            blank(raw, outlier)
-    blank(smoothed, outlier | step_edge)
-    return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
-
-
-def _step_edges(
-    z_um: Map, side_is_known: Found, bleeding_um: Map | None, pixel_um: float, recipe: Recipe, resolution_um: float
-) -> Found:
-    """Return a mask of heights with another surface within about half a window, where the side is not known."""
-    edge_um = z_um if bleeding_um is None else np.where(np.isnan(z_um), bleeding_um, z_um)
-    limit_um = _jump_limit_um(recipe, pixel_um, resolution_um)
-    apart = (height_range_um(edge_um, int(recipe.window)) > limit_um) & np.isfinite(z_um) & ~side_is_known
-    return apart & ~_on_slope(edge_um, pixel_um, recipe, resolution_um) if apart.any() else apart
-
-
-def _on_slope(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
-    """Return a mask of the pixels in the middle of a steep plane two windows wide, evaluated for 2 x 2 pixels together.
-
-    A jump within the windows is no plane, and light that bleeds over a wall makes a surface as steep as the cone.
-    """
-    finite = np.isfinite(z_um)
-    share = halved(finite)
-    cells = halved(np.where(finite, z_um, np.float32(0)))
-    cells = np.divide(cells, share, out=np.full(share.shape, np.nan, np.float32), where=share > 0)
-    planes = local_planes(cells, int(recipe.window))
-    steepest = JUMP.plane_share * _cone(recipe) * 2 * pixel_um
-    on_slope = (planes.gradient < steepest) & (planes.coverage >= JUMP.plane_coverage)
-    on_slope &= (planes.residual < JUMP.plane_residual * resolution_um) & (planes.explained > JUMP.plane_explained)
-    return doubled(on_slope, z_um.shape)
-
-
-def _cone(recipe: Recipe) -> float:
-    """Return the slope of the cone of light: the root of the depth of field, lambda / NA^2, in wavelengths.
-
-    This holds for small apertures.
-    """
-    return math.sqrt(float(recipe.focus_width_um) / FOCUS_WIDTH_DEPTHS / WAVELENGTH_UM)
-
-
-def _jump_limit_um(recipe: Recipe, pixel_um: float, resolution_um: float) -> float:
-    """Return the largest height range of one surface within the pixels of `height_range_um`."""
-    extent_um = (2 * _range_cells(int(recipe.window)) - 1) * pixel_um
-    return max(JUMP.steps * resolution_um, JUMP.cone_share * _cone(recipe) * extent_um)
-
-
-def _unsupported(z_um: Map, sizes: NDArray[np.int32], pixel_um: float, recipe: Recipe, resolution_um: float) -> Found:
-    """Return a mask of uneven heights that too few others support; sizes: of the components."""
-    measured, window = np.isfinite(z_um), int(recipe.window)
-    unevenness = height_range_um(z_um, window) / np.float32(_jump_limit_um(recipe, pixel_um, resolution_um))
-    smallness = np.minimum(np.float32((SUPPORT.island_windows * window) ** 2) / sizes, np.float32(SUPPORT.smallest))
-    isolation = 1 - mean(measured, 2 * (window // 2) + 1) + smallness
-    return measured & (unevenness * isolation > SUPPORT.most_doubt)
+    blank(smoothed, outlier)
+    return Cleaned(fill(smoothed, recipe.fill, resolution_um), blanked(z_um, outlier), outlier)
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:

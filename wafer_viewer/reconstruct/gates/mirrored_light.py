@@ -89,7 +89,17 @@ def mirrored_light(
     heights_um: of the cells, NaN where unknown or not of interest; reach_frames: largest distance of a pair of frames
     from the height.
     """
-    heights_um = _settled(heights_um)
+    return _is_symmetric(mirror_sums(frames, _settled(heights_um), reach_frames, camera, threads))
+
+
+def mirror_sums(
+    frames: Frames,
+    heights_um: NDArray[np.float32],
+    reach_frames: int,
+    camera: CameraNoise,
+    threads: int | None = None,
+) -> Symmetry:
+    """Return the sums over pairs of frames about heights of cells [row / 4, col / 4], 0 where they are NaN."""
     found = Symmetry(*(np.zeros(heights_um.shape, np.float32) for _ in Symmetry._fields))
     z_um, step_um = frames.z_um, frames.step_um
 
@@ -107,7 +117,7 @@ def mirrored_light(
             )  # fmt: skip
 
     on_threads(add_parts, stripes(frames.shape, _STRIPE_CELLS * COARSE_PX), threads)
-    return _is_symmetric(found)
+    return found
 
 
 def _settled(heights_um: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -120,9 +130,13 @@ def _settled(heights_um: NDArray[np.float32]) -> NDArray[np.float32]:
     return found
 
 
+def around_cells(found: Symmetry) -> Symmetry:
+    """Return the sums of the squares of cells in which symmetry is judged."""
+    return Symmetry(*(np.float32(MIRROR.window_cells**2) * mean(layer, MIRROR.window_cells) for layer in found))
+
+
 def _is_symmetric(found: Symmetry) -> NDArray[np.bool_]:
-    window = MIRROR.window_cells**2
-    asymmetry, symmetry, variance = (np.float32(window) * mean(layer, MIRROR.window_cells) for layer in found)
+    asymmetry, symmetry, variance = around_cells(found)
     sigma = np.sqrt(variance)
     tells = (found.variance > 0) & (symmetry > MIRROR.symmetry_sigmas * sigma)
     asymmetric = (asymmetry > MIRROR.least_asymmetry * symmetry) & (asymmetry > MIRROR.asymmetry_sigmas * sigma)

@@ -1,0 +1,524 @@
+"""Probability that each height is right, from all its evidence, in place of a limit for every kind of evidence.
+
+The gates accept heights that may vouch for others. A height itself counts where its probability is large enough, by a
+sum of small trees over scores: of its focus curve, of its neighbours among the accepted heights, and of their light.
+All scores are in units of the noise, of the optics or of the window, so that they mean the same on other samples. The
+trees lie in `evidence.json`, with the scenes by which they were trained: tests/bench/train_evidence.py.
+
+A symmetric tree asks the same questions on every path: its leaf is the number whose bits are the answers. A question
+speaks against a pixel by as much as the other answer would raise the sum.
+
+Scores of the neighbourhood are those of cells of 4 x 4 pixels.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.calibration import WAVELENGTH_UM
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.numerics.filters.interpolation import local_planes
+from wafer_viewer.numerics.filters.regions import component_sizes
+from wafer_viewer.numerics.filters.sliding_filters import highest, lowest, mean, repeated
+from wafer_viewer.numerics.jit import Float32s, Int, Int32s, Real, UInt8s, lean_kernel, lean_part
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
+from wafer_viewer.reconstruct.frame_blocks import row_parts
+from wafer_viewer.reconstruct.gates.edge_sides import cell_means, cell_medians
+from wafer_viewer.reconstruct.gates.gate import CLIPPED_FRAMES_FRACTION, LEAST_FRAMES, GateTest
+from wafer_viewer.reconstruct.gates.mirrored_light import Symmetry, around_cells
+from wafer_viewer.reconstruct.gates.silhouettes import DARK_SHARE_OF_WHITE
+
+PIXEL_SCORES: dict[str, Origin] = {
+    "contrast": Origin.NO_TEXTURE,
+    "lead": Origin.AMBIGUOUS,
+    "fall": Origin.AMBIGUOUS,
+    "fall share": Origin.AMBIGUOUS,
+    "windows": Origin.WINDOWS_DISAGREE,
+    "clipped": Origin.CLIPPED,
+    "range": Origin.END_OF_RANGE,
+    "side": Origin.BLEEDING_EDGE,
+    "off plane": Origin.OUTLIER,
+    "off wide plane": Origin.OUTLIER,
+    "off cell": Origin.OUTLIER,
+    "border": Origin.OUTLIER,
+}
+"""Scores of pixels, with the reason that they give.
+
+contrast, lead, fall: over what noise reaches, powers of two; fall share: of the contrast; windows: difference to the
+height of a wider window, resolutions; clipped: share of the window; range: distance to the nearer end of the sweep,
+focus widths; side: code of `EdgeSide`; off plane, off wide plane, off cell: distance to the plane of the accepted
+heights within two and four windows and to the median of the cell, resolutions; border: distance to that of the frame,
+windows.
+"""
+
+CELL_SCORES: dict[str, Origin] = {
+    "clipped around": Origin.CLIPPED,
+    "accepted": Origin.OUTLIER,
+    "accepted around": Origin.OUTLIER,
+    "accepted far": Origin.OUTLIER,
+    "bleeding far": Origin.BLEEDING_EDGE,
+    "slope": Origin.STEP_EDGE,
+    "slope around": Origin.STEP_EDGE,
+    "rough far": Origin.STEP_EDGE,
+    "agree": Origin.OUTLIER,
+    "agree around": Origin.OUTLIER,
+    "agree far": Origin.OUTLIER,
+    "brighter in the cone": Origin.BLEEDING_EDGE,
+    "its height": Origin.BLEEDING_EDGE,
+    "brighter": Origin.BLEEDING_EDGE,
+    "darker": Origin.BLEEDING_EDGE,
+    "size": Origin.OUTLIER,
+    "accepted size": Origin.OUTLIER,
+    "width": Origin.AMBIGUOUS,
+    "asymmetry": Origin.BLEEDING_EDGE,
+    "sure asymmetry": Origin.BLEEDING_EDGE,
+    "sure symmetry": Origin.NO_TEXTURE,
+}
+"""Scores of cells, with the reason that they give; around: within two windows, far: within four or `FAR_CELLS`.
+
+clipped, accepted, bleeding: shares of pixels; slope: of planes through the accepted heights, cones of light, and rough,
+their root mean square distance, resolutions; agree: share of accepted cells within a resolution; brighter in the cone:
+largest logarithm of brightness over the cell, of accepted cells at another height whose cone of light reaches it, and
+that other height, resolutions; brighter, darker: over all cells within two windows; size: logarithm of the area of the
+connected heights, and of the accepted ones, windows squared; width: of focus curves, steps; asymmetry: of the light
+about the height, relative to its symmetry, and both in standard deviations of their noise.
+"""
+
+FAR_CELLS = 33
+"""Side of the largest square whose heights count, in cells."""
+LEAST_AROUND = 0.1
+"""Share of pixels in this square with a probable height, below which none counts: tests/bench/train_evidence.py.
+
+Where hardly anything is probable, what is may be the same error of a whole scene.
+"""
+LEAST_PROBABILITY, LEAST_IN_SHORT_STACKS = 0.96, 0.8
+"""Least probability of `auto`, and that in stacks of fewer than `LEAST_FRAMES` frames: tests/bench/bench_families.py.
+
+In short stacks neither walls nor a wider window are looked at, and hardly a height is as sure.
+"""
+_ROWS = 32
+"""Rows of pixels that are weighed together; a multiple of `COARSE_PX`."""
+_LARGEST = np.float32(1e3)
+"""Magnitude of the largest score."""
+_MOST_ASYMMETRIC, _SURE, _LEAST = np.float32(2), np.float32(300), np.float32(1e-6)
+"""Largest asymmetry, relative and in standard deviations, and the smallest denominator of either."""
+_UNKNOWN = np.float32(-1)
+"""Score that is not known: without a wider window, or a plane."""
+_ALONE = np.float32(-4)
+"""Size of cells without accepted heights."""
+_NOWHERE_UM = np.float32(1e6)
+"""Height of a cell without peaks, away from all others."""
+CONNECTED = 1.5
+"""Largest difference of connected cells of accepted heights, in resolutions."""
+
+
+class Evidence(NamedTuple):
+    """Probability that a height is right, float32, and code of `Origin`, uint8: measured, or what speaks against it."""
+
+    probability: NDArray[np.float32]
+    origin: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Units of the scores of a field: window in px, resolution, focus width, pixel and step, and z of the frames.
+
+    clipped_counts: grey from which pixels are too bright.
+    """
+
+    window: int
+    resolution_um: float
+    focus_width_um: float
+    pixel_um: float
+    step_um: float
+    z_um: NDArray[np.float64]
+    clipped_counts: float
+
+    @property
+    def cone(self) -> float:
+        """Slope of the cone of light: the root of the depth of field, lambda / NA^2, in wavelengths.
+
+        This holds for small apertures.
+        """
+        return math.sqrt(self.focus_width_um / FOCUS_WIDTH_DEPTHS / WAVELENGTH_UM)
+
+
+class Trees(NamedTuple):
+    """Symmetric trees: scores and limits [tree, question], leaves [tree, leaf], and their sum before any of them."""
+
+    scores: UInt8s
+    limits: Float32s
+    leaves: Float32s
+    bias: float
+
+
+@lru_cache(maxsize=1)
+def trained_trees() -> Trees:
+    """Return the trees of the package."""
+    found = json.loads(Path(__file__).with_name("evidence.json").read_text())
+    return trees_of(found)
+
+
+def auto_least_probability(n_frames: int) -> float:
+    """Return the least probability of a height that counts in a stack of so many frames."""
+    return LEAST_PROBABILITY if n_frames >= LEAST_FRAMES else LEAST_IN_SHORT_STACKS
+
+
+def trees_of(found: dict[str, list[list[float]]]) -> Trees:
+    """Return the trees of a record, whose questions name the scores."""
+    number = {name: n for n, name in enumerate((*PIXEL_SCORES, *CELL_SCORES))}
+    scores = np.array([[number[str(name)] for name in tree] for tree in found["scores"]], np.uint8)
+    limits, leaves = (np.array(found[name], np.float32) for name in ("limits", "leaves"))
+    return Trees(scores, limits, leaves, float(np.asarray(found["bias"]).item()))
+
+
+class Scores(NamedTuple):
+    """Scores of all pixels [score, row, col], and of all cells [score, row / 4, col / 4]."""
+
+    pixels: Float32s
+    cells: Float32s
+
+    def planes(self) -> Float32s:
+        """Return all scores of all pixels [score, row, col]."""
+        shape = self.pixels.shape[1:]
+        return np.concatenate([self.pixels, [repeated(cells, COARSE_PX, shape) for cells in self.cells]])
+
+
+def scores_of(
+    peaks: Peaks,
+    tests: tuple[GateTest, ...],
+    z_um: NDArray[np.float32],
+    accepted: NDArray[np.bool_],
+    bleeding: NDArray[np.bool_],
+    side: NDArray[np.uint8] | None,
+    mirror: Symmetry,
+    units: Units,
+) -> Scores:
+    """Return the scores of heights, z_um [row, col]; accepted: mask of those that vouch for others.
+
+    tests: of the gates; bleeding: mask of heights that light from over a wall made; side: codes of `EdgeSide`, None
+    where there are no walls; mirror: symmetry of the light about the heights of the cells.
+    """
+    by_name = {test.name: test for test in tests}
+    shape, window, resolution = z_um.shape, units.window, np.float32(units.resolution_um)
+    n_cells = -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)
+
+    def share(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+        return cell_means(mask.view(np.uint8), n_cells)
+
+    around, far = (window // 2) | 1, window | 1
+    accepted_share = share(accepted)
+    any_um = cell_medians(z_um, ~peaks.at_end, np.ones(n_cells, np.bool_))
+    seeds_um = np.where(accepted_share == 1, any_um, np.float32(np.nan))
+    mixed = (accepted_share > 0) & (accepted_share < 1)
+    np.copyto(seeds_um, cell_medians(z_um, accepted, mixed), where=mixed)
+    near, middle, wide = (local_planes(seeds_um, size) for size in (3, around, far))
+    cone_px = np.float32(units.cone * COARSE_PX * units.pixel_um)
+    grey = np.log(cell_means(peaks.all_in_focus, n_cells) + np.float32(DARK_SHARE_OF_WHITE * units.clipped_counts))
+    beside = np.zeros((5, *n_cells), np.float32)
+    own_um = np.where(np.isnan(any_um), _NOWHERE_UM, any_um)
+    reach = 1, window // COARSE_PX + 1, window // 2 + 1
+    per_um = 1 / (units.cone * units.pixel_um)
+    _compare_cells(own_um, seeds_um, grey, reach, units.resolution_um, per_um, window / 2, beside)
+    too_bright = share(peaks.clipped >= max(1, round(CLIPPED_FRAMES_FRACTION * len(units.z_um))))
+    area = np.float32(COARSE_PX**2 / window**2)
+    connected = np.log2(component_sizes(any_um, resolution) * area)
+    joined = np.log2(component_sizes(seeds_um, np.float32(CONNECTED * units.resolution_um)) * area)
+    cells = (
+        mean(too_bright, far),
+        mean(accepted_share, 3),
+        mean(accepted_share, around),
+        mean(accepted_share, FAR_CELLS),
+        mean(share(bleeding), FAR_CELLS),
+        near.gradient / cone_px,
+        middle.gradient / cone_px,
+        wide.residual / resolution,
+        *beside,
+        highest(grey, around) - grey,
+        grey - lowest(grey, around),
+        connected,
+        np.where(np.isnan(seeds_um), _ALONE, joined),
+        np.full(n_cells, units.focus_width_um / units.step_um),
+        *_symmetry_scores(around_cells(mirror)),
+    )
+    compared = by_name["windows"].score if "windows" in by_name else np.full((1, 1), np.float32(-resolution))
+    limits = np.array(
+        [*(max(by_name[name].limit, 0.0) for name in ("texture", "rival", "flanks")), resolution, *units.z_um[[0, -1]],
+         units.focus_width_um, window],
+        np.float32,
+    )  # fmt: skip
+    side_code = np.zeros((1, 1), np.uint8) if side is None else side
+    planes = (peaks.contrast, peaks.lead, peaks.fall, by_name["clipped"].score, z_um, compared)
+    pixels = np.empty((len(PIXEL_SCORES), *shape), np.float32)
+    _score_pixels(planes, side_code, (middle.height, wide.height, own_um), limits, pixels)
+    return Scores(pixels, _finite(cells))
+
+
+@lean_kernel
+def _score_pixels(
+    planes: tuple[Float32s, ...], side: UInt8s, cells: tuple[NDArray[Any], ...], limits: Float32s, out: Float32s
+) -> None:
+    """Write the scores of pixels, in the order of `PIXEL_SCORES`, finite and within `_LARGEST`.
+
+    A plane of windows or of sides that nobody compared is a single value.
+    """
+    contrast, lead, fall, clipped, z_um, windows = planes
+    middle_um, wide_um, own_um = cells
+    _, rows, cols = out.shape
+    resolution, low_um, high_um, width_um, window = limits[3], limits[4], limits[5], limits[6], limits[7]
+    is_compared, has_sides = windows.size > 1, side.size > 1
+    for y in range(rows):
+        yc = y // COARSE_PX
+        for x in range(cols):
+            xc, z = x // COARSE_PX, z_um[y, x]
+            out[0, y, x] = _bounded(contrast[y, x] - limits[0])
+            out[1, y, x] = _bounded(lead[y, x] - limits[1])
+            out[2, y, x] = _bounded(fall[y, x] - limits[2])
+            out[3, y, x] = _bounded(fall[y, x] / max(contrast[y, x], _LEAST))
+            out[4, y, x] = _bounded((windows[y, x] if is_compared else windows[0, 0]) / resolution)
+            out[5, y, x] = _bounded(clipped[y, x])
+            out[6, y, x] = _bounded(min(z - low_um, high_um - z) / width_um)
+            out[7, y, x] = np.float32(side[y, x] if has_sides else side[0, 0])
+            out[8, y, x] = _bounded(abs(z - middle_um[yc, xc]) / resolution)
+            out[9, y, x] = _bounded(abs(z - wide_um[yc, xc]) / resolution)
+            out[10, y, x] = _bounded(abs(z - own_um[yc, xc]) / resolution)
+            out[11, y, x] = np.float32(min(min(y, rows - 1 - y), min(x, cols - 1 - x))) / window
+
+
+@lean_part
+def _bounded(score: Real) -> Real:
+    """Return a score within `_LARGEST`, -1 where it is not known."""
+    if score != score:
+        return _UNKNOWN
+    return min(max(score, -_LARGEST), _LARGEST)
+
+
+def _symmetry_scores(mirror: Symmetry) -> Iterator[NDArray[Any]]:
+    sigma = np.sqrt(np.maximum(mirror.variance, _LEAST))
+    yield np.clip(mirror.asymmetry / np.maximum(mirror.symmetry, _LEAST), 0, _MOST_ASYMMETRIC)
+    yield np.minimum(mirror.asymmetry / sigma, _SURE)
+    yield mirror.symmetry / sigma
+
+
+def _finite(planes: tuple[NDArray[Any], ...]) -> Float32s:
+    out = np.stack(planes).astype(np.float32, copy=False)
+    return np.clip(np.nan_to_num(out, copy=False, nan=float(_UNKNOWN)), -_LARGEST, _LARGEST, out=out)
+
+
+@lean_kernel
+def _compare_cells(
+    own_um: Float32s,
+    seeds_um: Float32s,
+    grey: Float32s,
+    reach: tuple[Int, Int, Int],
+    tolerance_um: Real,
+    px_per_um: Real,
+    base_px: Real,
+    out: Float32s,
+) -> None:
+    """Compare the height and the light of each cell with the accepted ones around it.
+
+    out [5, i, j]: the shares that agree within three reaches, the largest brightness over the cell among those at
+    another height whose cone of light reaches it, and how far that height is, in tolerances. px_per_um: how fast the
+    cone widens; base_px: its reach in focus.
+    """
+    rows, cols = own_um.shape
+    near, middle, far = reach
+    for i in range(rows):
+        for j in range(cols):
+            count, agree = (0, 0, 0), (0, 0, 0)
+            brighter, off = np.float32(0), np.float32(0)
+            for r in range(max(0, i - far), min(rows, i + far + 1)):
+                for c in range(max(0, j - far), min(cols, j + far + 1)):
+                    other_um = seeds_um[r, c]
+                    if other_um != other_um:
+                        continue
+                    apart, off_um = max(abs(r - i), abs(c - j)), abs(other_um - own_um[i, j])
+                    alike = np.int64(off_um <= tolerance_um)
+                    is_near, is_middle = np.int64(apart <= near), np.int64(apart <= middle)
+                    count = count[0] + is_near, count[1] + is_middle, count[2] + 1
+                    agree = agree[0] + is_near * alike, agree[1] + is_middle * alike, agree[2] + alike
+                    over = grey[r, c] - grey[i, j]
+                    if over > brighter and not alike:
+                        reached_px = off_um * px_per_um + base_px
+                        if COARSE_PX**2 * ((r - i) ** 2 + (c - j) ** 2) <= reached_px**2:
+                            brighter, off = over, np.float32(off_um / tolerance_um)
+            for n in range(3):
+                out[n, i, j] = agree[n] / max(count[n], 1)
+            out[3, i, j], out[4, i, j] = brighter, off
+
+
+# ------------------------------------------------------------------------------------------------------- trees
+
+
+def weigh(
+    scores: Scores,
+    least_probability: float,
+    trees: Trees,
+    origin: NDArray[np.uint8],
+    threads: int | None = None,
+    untested: tuple[Origin, ...] = (),
+) -> Evidence:
+    """Return the probability of each pixel, and its origin: measured from the least probability on.
+
+    origin: by the gates; a less probable pixel that passed them gets the reason that speaks most against it, an
+    ambiguous peak in place of an `untested` one.
+    """
+    shape = scores.pixels.shape[1:]
+    probability, reason = np.empty(shape, np.float32), origin.copy()
+    reasons = (*PIXEL_SCORES.values(), *CELL_SCORES.values())
+    of_score = np.array([Origin.AMBIGUOUS if one in untested else one for one in reasons], np.uint8)
+    least = np.float32(least_probability)
+
+    asks_pixels = (trees.scores < len(PIXEL_SCORES)).any(axis=1)
+    order = np.argsort(asks_pixels, kind="stable")
+    trees = Trees(trees.scores[order], trees.limits[order], trees.leaves[order], trees.bias)
+    n_coarse = int(np.count_nonzero(~asks_pixels))
+
+    def weigh_rows(todo: Iterator[slice]) -> None:
+        n_cells = scores.cells.shape[2]
+        row = np.empty((len(of_score), shape[1]), np.float32)
+        work = np.empty(n_cells, np.int32), np.empty(shape[1], np.int32), np.empty(n_cells, np.float32)
+        answers = np.empty((len(trees.scores) - n_coarse, shape[1]), np.uint8)
+        coarse = np.empty(shape[1], np.float32)
+        against = np.empty(max(Origin) + 1, np.float32)
+        for rows in todo:
+            _weigh_rows(
+                scores.pixels, scores.cells, trees.scores, trees.limits, trees.leaves, n_coarse, np.float32(trees.bias),
+                least, of_score, row, work, answers, coarse, against, rows.start, rows.stop, probability, reason,
+            )  # fmt: skip
+
+    on_threads(weigh_rows, row_parts(shape[0], _ROWS), threads)
+    return Evidence(probability, reason)
+
+
+@lean_kernel
+def _weigh_rows(
+    pixels: Float32s,
+    cells: Float32s,
+    scores: UInt8s,
+    limits: Float32s,
+    leaves: Float32s,
+    n_coarse: Int,
+    bias: Real,
+    least: Real,
+    of_score: UInt8s,
+    row: Float32s,
+    work: tuple[Int32s, Int32s, Float32s],
+    answers: UInt8s,
+    coarse: Float32s,
+    against: Float32s,
+    first: Int,
+    stop: Int,
+    probability: Float32s,
+    reason: UInt8s,
+) -> None:
+    """Write the probability of rows of pixels, and their origin by it, measured from `least` on.
+
+    The first `n_coarse` trees ask of cells only and are added once for each. Work memory: row, of all scores of a row;
+    work, of leaves of cells and pixels and of sums of cells; answers, of the questions about cells that the other trees
+    ask; coarse, of sums of cells at their pixels; against, of the reasons.
+    """
+    n = pixels.shape[0]
+    cell_leaf, leaf, cell_total = work
+    for y in range(first, stop):
+        if y % COARSE_PX == 0:
+            of_cells = cells[:, y // COARSE_PX]
+            cell_total[:] = bias
+            for t in range(scores.shape[0]):
+                cell_leaf[:] = 0
+                for bit in range(scores.shape[1]):
+                    if scores[t, bit] >= n:
+                        _add_answers(of_cells[scores[t, bit] - n], limits[t, bit], np.int32(1 << bit), cell_leaf)
+                if t < n_coarse:
+                    _add_leaves(leaves[t], cell_leaf, cell_total)
+                else:
+                    _spread(cell_leaf, answers[t - n_coarse])
+            _spread(cell_total, coarse)
+            for k in range(n, row.shape[0]):
+                _spread(of_cells[k - n], row[k])
+        for k in range(n):
+            _copy(pixels[k, y], row[k])
+        total = probability[y]
+        _copy(coarse, total)
+        for t in range(n_coarse, scores.shape[0]):
+            _copy(answers[t - n_coarse], leaf)
+            for bit in range(scores.shape[1]):
+                if scores[t, bit] < n:
+                    _add_answers(row[scores[t, bit]], limits[t, bit], np.int32(1 << bit), leaf)
+            _add_leaves(leaves[t], leaf, total)
+        for x in range(total.size):
+            total[x] = np.float32(1) / (np.float32(1) + np.exp(-total[x]))
+            if total[x] >= least:
+                reason[y, x] = Origin.MEASURED
+            elif reason[y, x] == Origin.MEASURED:
+                reason[y, x] = _reason(row, x, scores, limits, leaves, of_score, against)
+
+
+@lean_part
+def _copy(values: Any, out: Any) -> None:
+    for x in range(out.size):
+        out[x] = values[x]
+
+
+@lean_part
+def _spread(cells: Any, out: Any) -> None:
+    for x in range(out.size):
+        out[x] = cells[x // COARSE_PX]
+
+
+@lean_part
+def _add_answers(score: Float32s, limit: Real, power: Int, leaf: Int32s) -> None:
+    for x in range(leaf.size):
+        leaf[x] += power if score[x] > limit else np.int32(0)
+
+
+@lean_part
+def _add_leaves(leaves: Float32s, leaf: Int32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] += leaves[leaf[x]]
+
+
+@lean_part
+def _reason(
+    row: Float32s, x: Int, scores: UInt8s, limits: Float32s, leaves: Float32s, of_score: UInt8s, against: Float32s
+) -> Int:
+    """Return the reason whose scores would raise the sum most with other answers."""
+    against[:] = -np.inf
+    for k in range(of_score.size):
+        against[of_score[k]] = 0
+    for t in range(scores.shape[0]):
+        leaf = 0
+        for bit in range(scores.shape[1]):
+            leaf += (1 << bit) if row[scores[t, bit], x] > limits[t, bit] else 0
+        for bit in range(scores.shape[1]):
+            against[of_score[scores[t, bit]]] += leaves[t, leaf ^ (1 << bit)] - leaves[t, leaf]
+    return against.argmax()
+
+
+def alone(probable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask of the pixels with too few probable heights around them."""
+    shape = probable.shape
+    share = cell_means(probable.view(np.uint8), (-(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)))
+    return repeated(mean(share, FAR_CELLS) < LEAST_AROUND, COARSE_PX, shape)
+
+
+def warm_up() -> None:
+    """Compile the kernels, or load the cached compilation, on a few pixels."""
+    cells = np.zeros((2, 2), np.float32)
+    component_sizes(cells, np.float32(1))
+    cell_medians(np.zeros((8, 8), np.float32), np.ones((8, 8), np.bool_), np.ones((2, 2), np.bool_))
+    _compare_cells(cells, cells, cells, (1, 1, 1), 1.0, 1.0, 1.0, np.zeros((5, 2, 2), np.float32))
+    scores = Scores(np.zeros((len(PIXEL_SCORES), 8, 8), np.float32), np.zeros((len(CELL_SCORES), 2, 2), np.float32))
+    weigh(scores, 0.5, trained_trees(), np.zeros((8, 8), np.uint8), threads=1)
