@@ -308,7 +308,7 @@ def weigh_evidence(field: PreparedField, corrected: CorrectedPeaks, threads: int
     along = corrected.found_along & (corrected.origin == Origin.MEASURED) & (probability >= enough)
     np.copyto(origin, np.uint8(Origin.MEASURED), where=along)
     probable = origin == Origin.MEASURED
-    np.copyto(origin, np.uint8(Origin.OUTLIER), where=probable & alone(probable))
+    np.copyto(origin, np.uint8(Origin.OUTLIER), where=probable & alone(probable, int(recipe.window)))
     return WeighedHeights(corrected, probability, origin)
 
 

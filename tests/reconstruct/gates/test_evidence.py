@@ -102,7 +102,7 @@ def test_no_probability_overrules_physics(
 ) -> None:
     field, corrected = beside_walls
     monkeypatch.setattr(field_pipeline, "trained_trees", lambda: trained_trees()._replace(bias=1e3))
-    monkeypatch.setattr(field_pipeline, "alone", np.zeros_like)
+    monkeypatch.setattr(field_pipeline, "alone", lambda mask, _: np.zeros_like(mask))
     weighed, forbidden = weigh_evidence(field, corrected), vetoed(field, corrected)
     bleeding = corrected.origin == Origin.BLEEDING_EDGE
     assert bleeding.any()
@@ -125,7 +125,7 @@ def test_a_larger_least_probability_keeps_a_part_of_what_a_smaller_one_does() ->
         along = corrected.found_along & (corrected.origin == Origin.MEASURED)
         enough = np.where(along, min(PROBABLE_ALONG, least), least).astype(np.float32)
         probable = weighed.probability >= enough
-        assert (kept[-1] == (probable & ~alone(probable))).all()
+        assert (kept[-1] == (probable & ~alone(probable, int(recipe.window)))).all()
         assert np.isin(weighed.origin, (Origin.MEASURED, *range(Origin.CLIPPED, Origin.NO_REASON))).all()
     assert not (kept[1] & ~kept[0]).any()
     assert not (kept[2] & ~kept[1]).any()
@@ -145,10 +145,19 @@ def test_a_lead_as_of_pure_noise_counts_for_nothing(monkeypatch: pytest.MonkeyPa
 def test_few_probable_heights_in_a_wide_field_count_for_none() -> None:
     probable = np.zeros((300, 300), np.bool_)
     probable[40:70, 40:70], probable[180:260, 180:260] = True, True
-    found = alone(probable)
+    found = alone(probable, 9)
     assert found[40:70, 40:70].all()
     assert not found[190:250, 190:250].any()
-    assert not alone(np.ones((30, 30), np.bool_)).any()
+    assert not alone(np.ones((30, 30), np.bool_), 9).any()
+
+
+def test_few_probable_heights_on_bare_ground_of_a_textured_sample_count_for_none() -> None:
+    probable = np.ones((300, 300), np.bool_)
+    probable[100:200, 100:200] = False
+    probable[140:145, 140:145] = True
+    found = alone(probable, 9)
+    assert found[140:145, 140:145].all()
+    assert not (found & probable)[:96].any()
 
 
 def test_gates_decide_alone_where_no_probability_is_wanted() -> None:

@@ -100,7 +100,8 @@ FAR_CELLS = 33
 LEAST_AROUND = 0.1
 """Share of pixels in this square with a probable height, below which none counts: tests/bench/train_evidence.py.
 
-Where hardly anything is probable, what is may be the same error of a whole scene.
+Where hardly anything is probable, what is may be the same error of a whole scene. The same share is asked of a square
+of four windows: on bare ground a few heights that are wrong together are the only ones far and wide.
 """
 LEAST_PROBABILITY, LEAST_IN_SHORT_STACKS = 0.96, 0.8
 """Least probability of `auto`, and that in stacks of fewer than `LEAST_FRAMES` frames: tests/bench/bench_families.py.
@@ -507,11 +508,12 @@ def _reason(
     return against.argmax()
 
 
-def alone(probable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the pixels with too few probable heights around them."""
+def alone(probable: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
+    """Return a mask of the pixels with too few probable heights around them, within four windows or far."""
     shape = probable.shape
     share = cell_means(probable.view(np.uint8), (-(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)))
-    return repeated(mean(share, FAR_CELLS) < LEAST_AROUND, COARSE_PX, shape)
+    fewest = np.minimum(mean(share, window | 1), mean(share, FAR_CELLS))
+    return repeated(fewest < LEAST_AROUND, COARSE_PX, shape)
 
 
 def warm_up() -> None:
