@@ -231,7 +231,8 @@ def scores_of(
     own_um = np.where(np.isnan(any_um), _NOWHERE_UM, any_um)
     reach = 1, window // COARSE_PX + 1, window // 2 + 1
     per_um = 1 / (units.cone * units.pixel_um)
-    _compare_cells(own_um, seeds_um, grey, reach, units.resolution_um, per_um, window / 2, beside)
+    counts = np.empty((6, n_cells[1]), np.float32)
+    _compare_cells(own_um, seeds_um, grey, reach, units.resolution_um, per_um, window / 2, counts, beside)
     too_bright = share(peaks.clipped >= max(1, round(CLIPPED_FRAMES_FRACTION * len(units.z_um))))
     area = np.float32(COARSE_PX**2 / window**2)
     connected = np.log2(component_sizes(any_um, resolution) * area)
@@ -326,38 +327,58 @@ def _compare_cells(
     tolerance_um: Real,
     px_per_um: Real,
     base_px: Real,
+    counts: Float32s,
     out: Float32s,
 ) -> None:
     """Compare the height and the light of each cell with the accepted ones around it.
 
     out [5, i, j]: the shares that agree within three reaches, the largest brightness over the cell among those at
     another height whose cone of light reaches it, and how far that height is, in tolerances. px_per_um: how fast the
-    cone widens; base_px: its reach in focus.
+    cone widens; base_px: its reach in focus; counts: work memory, six rows of cells.
     """
     rows, cols = own_um.shape
-    near, middle, far = reach
+    far = reach[2]
+    count, agree = counts[:3], counts[3:]
+    tolerance, per_um, base = np.float32(tolerance_um), np.float32(px_per_um), np.float32(base_px)
     for i in range(rows):
-        for j in range(cols):
-            count, agree = (0, 0, 0), (0, 0, 0)
-            brighter, off = np.float32(0), np.float32(0)
-            for r in range(max(0, i - far), min(rows, i + far + 1)):
-                for c in range(max(0, j - far), min(cols, j + far + 1)):
-                    other_um = seeds_um[r, c]
-                    if other_um != other_um:
-                        continue
-                    apart, off_um = max(abs(r - i), abs(c - j)), abs(other_um - own_um[i, j])
-                    alike = np.int64(off_um <= tolerance_um)
-                    is_near, is_middle = np.int64(apart <= near), np.int64(apart <= middle)
-                    count = count[0] + is_near, count[1] + is_middle, count[2] + 1
-                    agree = agree[0] + is_near * alike, agree[1] + is_middle * alike, agree[2] + alike
-                    over = grey[r, c] - grey[i, j]
-                    if over > brighter and not alike:
-                        reached_px = off_um * px_per_um + base_px
-                        if COARSE_PX**2 * ((r - i) ** 2 + (c - j) ** 2) <= reached_px**2:
-                            brighter, off = over, np.float32(off_um / tolerance_um)
-            for n in range(3):
-                out[n, i, j] = agree[n] / max(count[n], 1)
-            out[3, i, j], out[4, i, j] = brighter, off
+        counts[:] = 0
+        brighter, off = out[3, i], out[4, i]
+        brighter[:], off[:] = 0, 0
+        own, own_grey = own_um[i], grey[i]
+        for r in range(max(0, i - far), min(rows, i + far + 1)):
+            for shift in range(-min(far, cols - 1), min(far, cols - 1) + 1):
+                apart = max(abs(r - i), abs(shift))
+                here, there = slice(max(0, -shift), cols - max(0, shift)), slice(max(0, shift), cols + min(0, shift))
+                for k in range(3):
+                    if apart <= reach[k]:
+                        _count_alike(own[here], seeds_um[r, there], tolerance, count[k, here], agree[k, here])
+                away = np.float32(COARSE_PX * math.sqrt((r - i) ** 2 + shift**2))
+                cone = tolerance, per_um, base - away
+                lights = own_grey[here], grey[r, there]
+                _find_brighter(own[here], seeds_um[r, there], lights, cone, brighter[here], off[here])
+        for k in range(3):
+            for j in range(cols):
+                out[k, i, j] = agree[k, j] / max(count[k, j], np.float32(1))
+
+
+@lean_part
+def _count_alike(own_um: Any, others_um: Any, tolerance: Any, count: Any, agree: Any) -> None:
+    for x in range(own_um.size):
+        off_um = abs(others_um[x] - own_um[x])
+        agree[x] += np.float32(1) if off_um <= tolerance else np.float32(0)
+        count[x] += np.float32(1) if off_um == off_um else np.float32(0)
+
+
+@lean_part
+def _find_brighter(own_um: Any, others_um: Any, lights: Any, cone: Any, brighter: Any, off: Any) -> None:
+    own_grey, greys = lights
+    tolerance, per_um, spare = cone
+    for x in range(own_um.size):
+        off_um = abs(others_um[x] - own_um[x])
+        over = greys[x] - own_grey[x]
+        found = (off_um > tolerance) & (over > brighter[x]) & (off_um * per_um + spare >= np.float32(0))
+        brighter[x] = over if found else brighter[x]
+        off[x] = off_um / tolerance if found else off[x]
 
 
 # ------------------------------------------------------------------------------------------------------- trees
@@ -521,6 +542,8 @@ def warm_up() -> None:
     cells = np.zeros((2, 2), np.float32)
     component_sizes(cells, np.float32(1))
     cell_medians(np.zeros((8, 8), np.float32), np.ones((8, 8), np.bool_), np.ones((2, 2), np.bool_))
-    _compare_cells(cells, cells, cells, (1, 1, 1), 1.0, 1.0, 1.0, np.zeros((5, 2, 2), np.float32))
+    _compare_cells(
+        cells, cells, cells, (1, 1, 1), 1.0, 1.0, 1.0, cells.repeat(3, axis=0), np.zeros((5, 2, 2), np.float32)
+    )
     scores = Scores(np.zeros((len(PIXEL_SCORES), 8, 8), np.float32), np.zeros((len(CELL_SCORES), 2, 2), np.float32))
     weigh(scores, 0.5, trained_trees(), np.zeros((8, 8), np.uint8), threads=1)
