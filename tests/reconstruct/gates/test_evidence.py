@@ -151,6 +151,13 @@ def test_few_probable_heights_in_a_wide_field_count_for_none() -> None:
     assert not alone(np.ones((30, 30), np.bool_), 9).any()
 
 
+def test_few_probable_heights_at_the_border_count_for_none() -> None:
+    probable = np.zeros((300, 300), np.bool_)
+    probable[280:, 100:170] = True
+    assert probable[168:, 69:201].mean() < 0.1 < probable[234:, 69:201].mean()
+    assert alone(probable, 9)[probable].all()
+
+
 def test_few_probable_heights_on_bare_ground_of_a_textured_sample_count_for_none() -> None:
     probable = np.ones((300, 300), np.bool_)
     probable[100:200, 100:200] = False

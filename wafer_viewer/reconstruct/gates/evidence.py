@@ -530,11 +530,23 @@ def _reason(
 
 
 def alone(probable: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
-    """Return a mask of the pixels with too few probable heights around them, within four windows or far."""
+    """Return a mask of the pixels with too few probable heights around them, within four windows or far.
+
+    At the border of the frame these squares lie inside, so that as many heights are asked for as elsewhere.
+    """
     shape = probable.shape
     share = cell_means(probable.view(np.uint8), (-(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)))
-    fewest = np.minimum(mean(share, window | 1), mean(share, FAR_CELLS))
+    fewest = np.minimum(_mean_inside(share, window | 1), _mean_inside(share, FAR_CELLS))
     return repeated(fewest < LEAST_AROUND, COARSE_PX, shape)
+
+
+def _mean_inside(cells: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """Return the sliding mean of size x size cells, that of the nearest square within the frame at its border."""
+    reach = (min(size, *cells.shape) - 1) // 2
+    if reach <= 0:
+        return cells
+    inside = mean(cells, 2 * reach + 1)[reach:-reach, reach:-reach]
+    return np.pad(inside, reach, mode="edge")
 
 
 def warm_up() -> None:
