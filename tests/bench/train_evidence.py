@@ -155,9 +155,9 @@ def _sampled(family: str, seed: int, factor: float) -> dict[str, NDArray]:
     open_ = ~vetoed(field, corrected)
     at = np.flatnonzero(open_)
     at = np.random.default_rng(1).choice(at, min(POINTS, at.size), replace=False)
-    scores = evidence_scores(field, corrected, mirror_of(field, corrected.gated, threads=1)).planes()
+    scores = evidence_scores(field, corrected, mirror_of(field, corrected.gated, threads=1))
     return {
-        "scores": scores.reshape(len(scores), -1).T[at],
+        "scores": scores.planes(open_.shape).reshape(len(SCORES), -1).T[at],
         "right": (error_um <= scene.right_um).ravel()[at],
         "false": (error_um > scene.step_um).ravel()[at],
         "accepted": (corrected.origin == Origin.MEASURED).ravel()[at],

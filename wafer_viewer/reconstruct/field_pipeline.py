@@ -297,10 +297,10 @@ def weigh_evidence(field: PreparedField, corrected: CorrectedPeaks, threads: int
     if least <= 0 or float(recipe.min_confidence) <= 0:
         return WeighedHeights(corrected, corrected.gated.peaks.confidence, corrected.origin, is_probability=False)
     scores = evidence_scores(field, corrected, mirror_of(field, corrected.gated, threads))
-    found = weigh(scores, least, trained_trees(), corrected.origin, threads, untested(corrected))
     forbidden = vetoed(field, corrected)
-    probability = np.where(forbidden, np.float32(0), found.probability)
-    origin = np.where(forbidden, corrected.origin, found.origin)
+    probability, origin = weigh(
+        scores, least, trained_trees(), corrected.origin, forbidden, threads, untested(corrected)
+    )
     if corrected.edges is not None:
         bled = (origin == Origin.BLEEDING_EDGE) & (corrected.edges.side == EdgeSide.AWAY)
         np.copyto(origin, np.uint8(Origin.AMBIGUOUS), where=bled)  # light from afar widens a curve
@@ -319,6 +319,12 @@ def untested(corrected: CorrectedPeaks) -> tuple[Origin, ...]:
     return tuple(reason for reason, is_off in off.items() if is_off)
 
 
+_NEVER_MEASURED = np.isin(
+    np.arange(256), (Origin.BLEEDING_EDGE, Origin.NO_TEXTURE, Origin.TOO_FEW_FRAMES, Origin.NOT_COVERED)
+)
+"""Codes of `Origin` that no probability overrules."""
+
+
 def vetoed(field: PreparedField, corrected: CorrectedPeaks) -> NDArray[np.bool_]:
     """Return a mask of what cannot be a measurement: bleeding light, too few frames, an end, one of two tops, noise.
 
@@ -328,8 +334,7 @@ def vetoed(field: PreparedField, corrected: CorrectedPeaks) -> NDArray[np.bool_]
     Near a wall only heights that passed the gates were judged by their side, and the others are as those of bleeding
     light. A height that the focus along a wall gave has a peak of its own.
     """
-    never = (Origin.BLEEDING_EDGE, Origin.NO_TEXTURE, Origin.TOO_FEW_FRAMES, Origin.NOT_COVERED)
-    forbidden = np.isin(corrected.origin, never)
+    forbidden = _NEVER_MEASURED[corrected.origin]
     (tops,) = (test for test in corrected.gated.tests if test.name == "tops")
     peaks, least_lead = corrected.gated.peaks, noise_scores(field.tuned.search, field.frames.n_frames).lead
     no_peak = (peaks.at_end | ~tops.passed | (peaks.lead <= least_lead)) & ~corrected.found_along
@@ -342,10 +347,9 @@ def mirror_of(field: PreparedField, gated: GatedPeaks, threads: int | None = Non
     """Return the symmetry of the light about the heights of cells, those that passed the gates where there are any."""
     search, peaks = field.tuned.search, gated.peaks
     every = np.ones(tuple(-(-n // COARSE_PX) for n in gated.origin.shape), np.bool_)
-    passed_um, any_um = (
-        cell_medians(peaks.z_um, mask, every) for mask in (gated.origin == Origin.MEASURED, ~peaks.at_end)
-    )
-    heights_um = np.where(np.isfinite(passed_um), passed_um, any_um)
+    heights_um = cell_medians(peaks.z_um, gated.origin == Origin.MEASURED, every)
+    without = np.isnan(heights_um)
+    np.copyto(heights_um, cell_medians(peaks.z_um, ~peaks.at_end, without), where=without)
     return mirror_sums(field.frames, heights_um, search.gap, search.camera, threads)
 
 

@@ -47,12 +47,13 @@ LARGEST_RECORD = 200_000
 def some_scores(shape: tuple[int, int], seed: int = 1) -> Scores:
     rng = np.random.default_rng(seed)
     cells = len(CELL_SCORES), -(-shape[0] // 4), -(-shape[1] // 4)
-    return Scores(*(rng.normal(0, 2, n).astype(np.float32) for n in ((len(PIXEL_SCORES), *shape), cells)))
+    pixels = rng.normal(0, 2, (len(PIXEL_SCORES), *shape)).astype(np.float32)
+    return Scores(lambda rows: pixels[:, rows], rng.normal(0, 2, cells).astype(np.float32))
 
 
-def sums(scores: Scores, trees: Trees) -> NDArray[np.float64]:
+def sums(scores: Scores, trees: Trees, shape: tuple[int, int]) -> NDArray[np.float64]:
     """The sum of the leaves of each pixel, tree by tree."""
-    planes = scores.planes()
+    planes = scores.planes(shape)
     total = np.full(planes.shape[1:], trees.bias)
     for asked, limits, leaves in zip(trees.scores, trees.limits, trees.leaves, strict=True):
         number = sum((planes[k] > limit) * 2**bit for bit, (k, limit) in enumerate(zip(asked, limits, strict=True)))
@@ -65,10 +66,14 @@ def test_probability_is_that_of_the_sum_of_the_leaves(shape: tuple[int, int]) ->
     scores, trees = some_scores(shape), trained_trees()
     gated = np.full(shape, Origin.MEASURED, np.uint8)
     gated[::2] = Origin.NO_TEXTURE
-    found = weigh(scores, 0.9, trees, gated, threads=2)
-    np.testing.assert_allclose(found.probability, 1 / (1 + np.exp(-sums(scores, trees))), atol=1e-5)
-    assert ((found.origin == Origin.MEASURED) == (found.probability >= np.float32(0.9))).all()
+    forbidden = np.random.default_rng(2).random(shape) < 0.3
+    forbidden[8:20, 4:30] = True
+    found = weigh(scores, 0.9, trees, gated, forbidden, threads=2)
+    expected = np.where(forbidden, 0, 1 / (1 + np.exp(-sums(scores, trees, shape))))
+    np.testing.assert_allclose(found.probability, expected, atol=1e-5)
+    assert ((found.origin == Origin.MEASURED) == (found.probability >= np.float32(0.9)))[~forbidden].all()
     assert (found.origin[::2][found.probability[::2] < 0.9] == Origin.NO_TEXTURE).all()
+    assert (found.origin[forbidden] == gated[forbidden]).all()
 
 
 def test_reason_is_the_evidence_whose_other_answer_helps_most() -> None:
@@ -76,10 +81,14 @@ def test_reason_is_the_evidence_whose_other_answer_helps_most() -> None:
     clipped, brighter = names.index("clipped"), names.index("brighter")
     leaves = np.array([[2.0, -1.0, 0.0, -3.0]], np.float32)  # bit 0 is set where clipped, bit 1 where brighter
     trees = Trees(np.array([[clipped, brighter]], np.uint8), np.zeros((1, 2), np.float32), leaves, 0.0)
-    scores = Scores(*(np.full_like(part, -1) for part in some_scores((8, 8))))
-    scores.pixels[clipped, :, 4:] = 1
-    scores.cells[brighter - len(PIXEL_SCORES), 1] = 1
-    reason = weigh(scores, 0.8, trees, np.full((8, 8), Origin.MEASURED, np.uint8)).origin
+    pixels, cells = (
+        np.full((len(PIXEL_SCORES), 8, 8), -1, np.float32),
+        np.full((len(CELL_SCORES), 2, 2), -1, np.float32),
+    )
+    pixels[clipped, :, 4:] = 1
+    cells[brighter - len(PIXEL_SCORES), 1] = 1
+    gated, open_ = np.full((8, 8), Origin.MEASURED, np.uint8), np.zeros((8, 8), np.bool_)
+    reason = weigh(Scores(lambda rows: pixels[:, rows], cells), 0.8, trees, gated, open_).origin
     assert (reason[:4, :4] == Origin.MEASURED).all()
     assert (reason[:4, 4:] == Origin.CLIPPED).all()
     assert (reason[4:, :4] == Origin.BLEEDING_EDGE).all()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters.sliding_filters import box_mean
 from wafer_viewer.numerics.jit import Float32s, Float64s, Int, Real, inlined_part, lean_kernel, lean_part
 
 # --------------------------------------------------------------------------------------------------------- local planes
@@ -36,34 +36,70 @@ def local_planes(z: NDArray[np.floating], size: int) -> LocalPlanes:
     At the border of the map the window is cut off. Where the finite pixels do not determine a plane its gradient is 0.
     """
     valid = np.isfinite(z)
-    base = np.mean(z[valid]) if valid.any() else 0
-    heights = np.where(valid, z - base, 0).astype(np.float64)
-    rows, cols = (np.arange(n, dtype=np.float64) - (n - 1) / 2 for n in z.shape)
-    y, x, w = rows[:, None], cols[None, :], valid.astype(np.float64)
-    n = np.maximum(_sums(w, size), 0.5)
-    mean_y, mean_x, mean_z = (_sums(part, size) / n for part in (w * y, w * x, heights))
-    yy = _sums(w * y * y, size) / n - mean_y**2
-    xx = _sums(w * x * x, size) / n - mean_x**2
-    xy = _sums(w * x * y, size) / n - mean_x * mean_y
-    zy = _sums(heights * y, size) / n - mean_z * mean_y
-    zx = _sums(heights * x, size) / n - mean_z * mean_x
-    zz = np.maximum(_sums(heights**2, size) / n - mean_z**2, 0)
-    determinant = xx * yy - xy**2
-    inverse = np.divide(1.0, determinant, out=np.zeros_like(n), where=determinant > _LEAST_DETERMINANT)
-    down, right = inverse * (xx * zy - xy * zx), inverse * (yy * zx - xy * zy)
-    off = np.maximum(zz - down * zy - right * zx, 0)
-    coverage = _sums(w, size) / _sums(np.ones(z.shape), size)
-    height = np.where(coverage > 0, base + mean_z + down * (y - mean_y) + right * (x - mean_x), np.nan)
-    return LocalPlanes(coverage, np.hypot(down, right), np.sqrt(off), height)
+    base = np.mean(z[valid], dtype=np.float64) if valid.any() else 0.0
+    heights = np.subtract(z, base, dtype=np.float64)
+    found = LocalPlanes(*(np.empty(z.shape) for _ in LocalPlanes._fields))
+    _fit_planes(heights, size // 2, base, np.zeros((6, z.shape[1])), found)
+    return found
+
+
+@lean_kernel
+def _fit_planes(z: Float64s, reach: Int, base: Real, sums: Float64s, out: tuple[Float64s, ...]) -> None:
+    """Fit planes by moments; sums: work space, of the weights, heights and squares of columns, partly times y.
+
+    Coordinates are those from the middle of the map. Moments of a window follow from those of its neighbour.
+    """
+    n_rows, n_cols = z.shape
+    coverage, gradient, residual, height = out
+    middle_y, middle_x = (n_rows - 1) / 2, (n_cols - 1) / 2
+    for row in range(min(reach, n_rows)):
+        _add_row(z[row], row - middle_y, 1.0, sums)
+    for i in range(n_rows):
+        if i + reach < n_rows:
+            _add_row(z[i + reach], i + reach - middle_y, 1.0, sums)
+        if i > reach:
+            _add_row(z[i - reach - 1], i - reach - 1 - middle_y, -1.0, sums)
+        rows = min(i + reach, n_rows - 1) - max(i - reach, 0) + 1
+        w, wy, wyy, s, sy, ss, wx, wxx, wxy, sx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(-reach, n_cols):
+            for col, sign in ((k + reach, 1.0), (k - reach - 1, -1.0)):
+                if 0 <= col < n_cols:
+                    x, one, by_y, of_z = col - middle_x, sign * sums[0, col], sign * sums[1, col], sign * sums[3, col]
+                    w, wy, wyy = w + one, wy + by_y, wyy + sign * sums[2, col]
+                    s, sy, ss = s + of_z, sy + sign * sums[4, col], ss + sign * sums[5, col]
+                    wx, wxx, wxy, sx = wx + one * x, wxx + one * x * x, wxy + by_y * x, sx + of_z * x
+            if k < 0:
+                continue
+            cols = min(k + reach, n_cols - 1) - max(k - reach, 0) + 1
+            n = max(w, 0.5)
+            mean_y, mean_x, mean_z = wy / n, wx / n, s / n
+            yy, xx, xy = wyy / n - mean_y**2, wxx / n - mean_x**2, wxy / n - mean_x * mean_y
+            zy, zx, zz = sy / n - mean_z * mean_y, sx / n - mean_z * mean_x, max(ss / n - mean_z**2, 0.0)
+            determinant = xx * yy - xy**2
+            inverse = 1 / determinant if determinant > _LEAST_DETERMINANT else 0.0
+            down, right = inverse * (xx * zy - xy * zx), inverse * (yy * zx - xy * zy)
+            coverage[i, k] = w / (rows * cols)
+            gradient[i, k] = math.sqrt(down**2 + right**2)
+            residual[i, k] = math.sqrt(max(zz - down * zy - right * zx, 0.0))
+            there = base + mean_z + down * (i - middle_y - mean_y) + right * (k - middle_x - mean_x)
+            height[i, k] = there if w > 0.5 else np.nan
+
+
+@lean_part
+def _add_row(z: Float64s, y: Real, sign: Real, sums: Float64s) -> None:
+    for x in range(z.size):
+        is_finite = abs(z[x]) < np.inf
+        one, of_z = (sign, sign * z[x]) if is_finite else (0.0, 0.0)
+        sums[0, x] += one
+        sums[1, x] += one * y
+        sums[2, x] += one * y * y
+        sums[3, x] += of_z
+        sums[4, x] += of_z * y
+        sums[5, x] += of_z * z[x] if is_finite else 0.0
 
 
 _LEAST_DETERMINANT = 1e-3
 """Smallest determinant of the scatter of the finite pixels that determines a plane, px^4; a full 3 x 3 has 4 / 9."""
-
-
-def _sums(plane: Plane, size: int) -> Any:
-    """Sliding sum of size x size pixels, with zeros beyond the border."""
-    return box_mean(plane, size, repeats=False) * size**2
 
 
 # -------------------------------------------------------------------------------------------------------- interpolation

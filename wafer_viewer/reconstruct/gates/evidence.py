@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -29,7 +29,7 @@ from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.filters.interpolation import local_planes
 from wafer_viewer.numerics.filters.regions import component_sizes
 from wafer_viewer.numerics.filters.sliding_filters import highest, lowest, mean, repeated
-from wafer_viewer.numerics.jit import Float32s, Int, Int32s, Real, UInt8s, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Real, UInt8s, inline_kernel, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, on_threads
 from wafer_viewer.reconstruct.focus.peak import Peaks
 from wafer_viewer.reconstruct.focus.peak_search import FOCUS_WIDTH_DEPTHS
@@ -185,15 +185,15 @@ def trees_of(found: dict[str, list[list[float]]]) -> Trees:
 
 
 class Scores(NamedTuple):
-    """Scores of all pixels [score, row, col], and of all cells [score, row / 4, col / 4]."""
+    """Scores of rows of pixels, when asked for [score, row, col], and those of all cells [score, row / 4, col / 4]."""
 
-    pixels: Float32s
+    of_pixels: Callable[[slice], Float32s]
     cells: Float32s
 
-    def planes(self) -> Float32s:
-        """Return all scores of all pixels [score, row, col]."""
-        shape = self.pixels.shape[1:]
-        return np.concatenate([self.pixels, [repeated(cells, COARSE_PX, shape) for cells in self.cells]])
+    def planes(self, shape: tuple[int, int]) -> Float32s:
+        """Return all scores of all pixels of a field [score, row, col]."""
+        pixels = self.of_pixels(slice(0, shape[0]))
+        return np.concatenate([pixels, [repeated(cells, COARSE_PX, shape) for cells in self.cells]])
 
 
 def scores_of(
@@ -262,48 +262,100 @@ def scores_of(
     )  # fmt: skip
     side_code = np.zeros((1, 1), np.uint8) if side is None else side
     planes = (peaks.contrast, peaks.lead, peaks.fall, by_name["clipped"].score, z_um, compared)
-    pixels = np.empty((len(PIXEL_SCORES), *shape), np.float32)
-    _score_pixels(planes, side_code, (middle.height, wide.height, own_um), limits, pixels)
-    return Scores(pixels, _finite(cells))
+
+    near_um = np.stack((middle.height, wide.height, own_um)).astype(np.float32, copy=False)
+
+    def of_pixels(rows: slice) -> Float32s:
+        out = np.empty((len(PIXEL_SCORES), rows.stop - rows.start, shape[1]), np.float32)
+        _score_pixels(planes, side_code, near_um, limits, rows.start, shape[0], out)
+        return out
+
+    return Scores(of_pixels, _finite(cells))
 
 
 @lean_kernel
 def _score_pixels(
-    planes: tuple[Float32s, ...], side: UInt8s, cells: tuple[NDArray[Any], ...], limits: Float32s, out: Float32s
+    planes: tuple[Float32s, ...],
+    side: UInt8s,
+    near_um: Float32s,
+    limits: Float32s,
+    first: Int,
+    n_rows: Int,
+    out: Float32s,
 ) -> None:
-    """Write the scores of pixels, in the order of `PIXEL_SCORES`, finite and within `_LARGEST`.
+    """Write the scores of the rows from `first` on, of `n_rows`, in the order of `PIXEL_SCORES`, within `_LARGEST`.
 
     A plane of windows or of sides that nobody compared is a single value.
     """
     contrast, lead, fall, clipped, z_um, windows = planes
-    middle_um, wide_um, own_um = cells
-    _, rows, cols = out.shape
-    resolution, low_um, high_um, width_um, window = limits[3], limits[4], limits[5], limits[6], limits[7]
-    is_compared, has_sides = windows.size > 1, side.size > 1
-    for y in range(rows):
-        yc = y // COARSE_PX
-        for x in range(cols):
-            xc, z = x // COARSE_PX, z_um[y, x]
-            out[0, y, x] = _bounded(contrast[y, x] - limits[0])
-            out[1, y, x] = _bounded(lead[y, x] - limits[1])
-            out[2, y, x] = _bounded(fall[y, x] - limits[2])
-            out[3, y, x] = _bounded(fall[y, x] / max(contrast[y, x], _LEAST))
-            out[4, y, x] = _bounded((windows[y, x] if is_compared else windows[0, 0]) / resolution)
-            out[5, y, x] = _bounded(clipped[y, x])
-            out[6, y, x] = _bounded(min(z - low_um, high_um - z) / width_um)
-            out[7, y, x] = np.float32(side[y, x] if has_sides else side[0, 0])
-            out[8, y, x] = _bounded(abs(z - middle_um[yc, xc]) / resolution)
-            out[9, y, x] = _bounded(abs(z - wide_um[yc, xc]) / resolution)
-            out[10, y, x] = _bounded(abs(z - own_um[yc, xc]) / resolution)
-            out[11, y, x] = np.float32(min(min(y, rows - 1 - y), min(x, cols - 1 - x))) / window
+    resolution, window = limits[3], limits[7]
+    is_compared, has_sides, zero = windows.size > 1, side.size > 1, np.float32(0)
+    for row in range(out.shape[1]):
+        y = first + row
+        _subtract(contrast[y], limits[0], out[0, row])
+        _subtract(lead[y], limits[1], out[1, row])
+        _subtract(fall[y], limits[2], out[2, row])
+        _divide(fall[y], contrast[y], out[3, row])
+        _scale(windows[y if is_compared else 0], resolution, out[4, row])
+        _subtract(clipped[y], zero, out[5, row])
+        _from_ends(z_um[y], limits[4:7], out[6, row])
+        _take_codes(side[y if has_sides else 0], out[7, row])
+        for k in range(3):
+            _from_cells(z_um[y], near_um[k, y // COARSE_PX], resolution, out[8 + k, row])
+        _from_border(np.float32(min(y, n_rows - 1 - y)), window, out[11, row])
+
+
+@inline_kernel
+def _bounded(score: Any) -> Any:
+    """Return a score within `_LARGEST`, -1 where it is not known."""
+    known = score if score == score else _UNKNOWN
+    return min(max(known, -_LARGEST), _LARGEST)
 
 
 @lean_part
-def _bounded(score: Real) -> Real:
-    """Return a score within `_LARGEST`, -1 where it is not known."""
-    if score != score:
-        return _UNKNOWN
-    return min(max(score, -_LARGEST), _LARGEST)
+def _subtract(values: Any, limit: Any, out: Any) -> None:
+    for x in range(out.size):
+        out[x] = _bounded(values[x] - limit)
+
+
+@lean_part
+def _divide(values: Any, others: Any, out: Any) -> None:
+    for x in range(out.size):
+        out[x] = _bounded(values[x] / max(others[x], _LEAST))
+
+
+@lean_part
+def _scale(values: Any, unit: Any, out: Any) -> None:
+    """Divide values by a unit; a single value stands for all."""
+    step = np.int64(values.size > 1)
+    for x in range(out.size):
+        out[x] = _bounded(values[step * x] / unit)
+
+
+@lean_part
+def _from_ends(z_um: Any, limits: Any, out: Any) -> None:
+    low_um, high_um, width_um = limits
+    for x in range(out.size):
+        out[x] = _bounded(min(z_um[x] - low_um, high_um - z_um[x]) / width_um)
+
+
+@lean_part
+def _take_codes(codes: Any, out: Any) -> None:
+    step = np.int64(codes.size > 1)
+    for x in range(out.size):
+        out[x] = np.float32(codes[step * x])
+
+
+@lean_part
+def _from_cells(z_um: Any, cells_um: Any, unit: Any, out: Any) -> None:
+    for x in range(out.size):
+        out[x] = _bounded(abs(z_um[x] - cells_um[x // COARSE_PX]) / unit)
+
+
+@lean_part
+def _from_border(away: Any, window: Any, out: Any) -> None:
+    for x in range(out.size):
+        out[x] = min(away, np.float32(min(x, out.size - 1 - x))) / window
 
 
 def _symmetry_scores(mirror: Symmetry) -> Iterator[NDArray[Any]]:
@@ -314,8 +366,13 @@ def _symmetry_scores(mirror: Symmetry) -> Iterator[NDArray[Any]]:
 
 
 def _finite(planes: tuple[NDArray[Any], ...]) -> Float32s:
-    out = np.stack(planes).astype(np.float32, copy=False)
-    return np.clip(np.nan_to_num(out, copy=False, nan=float(_UNKNOWN)), -_LARGEST, _LARGEST, out=out)
+    """Return planes of scores, -1 where they are not known, within `_LARGEST`."""
+    out = np.empty((len(planes), *planes[0].shape), np.float32)
+    for plane, found in zip(planes, out, strict=True):
+        found[:] = plane
+        np.copyto(found, _UNKNOWN, where=np.isnan(found))
+        np.clip(found, -_LARGEST, _LARGEST, out=found)
+    return out
 
 
 @lean_kernel
@@ -389,120 +446,170 @@ def weigh(
     least_probability: float,
     trees: Trees,
     origin: NDArray[np.uint8],
+    forbidden: NDArray[np.bool_],
     threads: int | None = None,
     untested: tuple[Origin, ...] = (),
 ) -> Evidence:
     """Return the probability of each pixel, and its origin: measured from the least probability on.
 
     origin: by the gates; a less probable pixel that passed them gets the reason that speaks most against it, an
-    ambiguous peak in place of an `untested` one.
+    ambiguous peak in place of an `untested` one. A forbidden pixel has probability 0 and remains as it is.
     """
-    shape = scores.pixels.shape[1:]
-    probability, reason = np.empty(shape, np.float32), origin.copy()
+    shape, n_cells = origin.shape, scores.cells.shape[2]
+    found = Evidence(np.zeros(shape, np.float32), origin.copy())
     reasons = (*PIXEL_SCORES.values(), *CELL_SCORES.values())
     of_score = np.array([Origin.AMBIGUOUS if one in untested else one for one in reasons], np.uint8)
-    least = np.float32(least_probability)
-
     asks_pixels = (trees.scores < len(PIXEL_SCORES)).any(axis=1)
     order = np.argsort(asks_pixels, kind="stable")
-    trees = Trees(trees.scores[order], trees.limits[order], trees.leaves[order], trees.bias)
+    sums = (trees.scores[order], trees.limits[order], trees.leaves[order])
     n_coarse = int(np.count_nonzero(~asks_pixels))
+    limits = np.array([trees.bias, least_probability], np.float32)
 
     def weigh_rows(todo: Iterator[slice]) -> None:
-        n_cells = scores.cells.shape[2]
-        row = np.empty((len(of_score), shape[1]), np.float32)
-        work = np.empty(n_cells, np.int32), np.empty(shape[1], np.int32), np.empty(n_cells, np.float32)
-        answers = np.empty((len(trees.scores) - n_coarse, shape[1]), np.uint8)
-        coarse = np.empty(shape[1], np.float32)
-        against = np.empty(max(Origin) + 1, np.float32)
+        of_cells = (
+            np.empty(n_cells, np.int32),
+            np.empty((len(scores.cells), n_cells), np.float32),
+            np.empty(n_cells, np.int32),
+            np.empty(n_cells, np.float32),
+            np.empty((len(order) - n_coarse, n_cells), np.uint8),
+            np.empty((n_cells, max(Origin) + 1), np.float32),
+            np.empty(n_cells, np.bool_),
+        )
+        n = COARSE_PX * n_cells
+        of_pixels = (
+            np.empty((len(PIXEL_SCORES), n), np.float32),
+            np.empty(n, np.int32),
+            np.empty(n, np.float32),
+            np.empty(max(Origin) + 1, np.float32),
+        )
         for rows in todo:
-            _weigh_rows(
-                scores.pixels, scores.cells, trees.scores, trees.limits, trees.leaves, n_coarse, np.float32(trees.bias),
-                least, of_score, row, work, answers, coarse, against, rows.start, rows.stop, probability, reason,
-            )  # fmt: skip
+            cells = scores.cells[:, rows.start // COARSE_PX : -(-rows.stop // COARSE_PX)]
+            out = found.probability[rows], found.origin[rows]
+            pixels = scores.of_pixels(rows)
+            _weigh_rows(pixels, cells, forbidden[rows], sums, n_coarse, limits, of_score, of_cells, of_pixels, out)
 
     on_threads(weigh_rows, row_parts(shape[0], _ROWS), threads)
-    return Evidence(probability, reason)
+    return found
 
 
 @lean_kernel
 def _weigh_rows(
     pixels: Float32s,
     cells: Float32s,
-    scores: UInt8s,
-    limits: Float32s,
-    leaves: Float32s,
+    forbidden: Bools,
+    trees: tuple[UInt8s, Float32s, Float32s],
     n_coarse: Int,
-    bias: Real,
-    least: Real,
+    limits: Float32s,
     of_score: UInt8s,
-    row: Float32s,
-    work: tuple[Int32s, Int32s, Float32s],
-    answers: UInt8s,
-    coarse: Float32s,
-    against: Float32s,
-    first: Int,
-    stop: Int,
-    probability: Float32s,
-    reason: UInt8s,
+    of_cells: tuple[Int32s, Float32s, Int32s, Float32s, UInt8s, Float32s, Bools],
+    of_pixels: tuple[Float32s, Int32s, Float32s, Float32s],
+    out: tuple[Float32s, UInt8s],
 ) -> None:
-    """Write the probability of rows of pixels, and their origin by it, measured from `least` on.
+    """Write the probability of some rows of pixels, and their origin by it, where they are not forbidden.
 
-    The first `n_coarse` trees ask of cells only and are added once for each. Work memory: row, of all scores of a row;
-    work, of leaves of cells and pixels and of sums of cells; answers, of the questions about cells that the other trees
-    ask; coarse, of sums of cells at their pixels; against, of the reasons.
+    The first `n_coarse` trees ask of cells only and are added once for each; the others look up what their questions
+    about cells are answered. limits: the sum before any tree, and the least probability. Work memory, of the cells with
+    a pixel that is not forbidden: their columns, scores, leaves, sums, answers, evidence against them, and whether that
+    is known; of the pixels of these cells: scores, leaves, sums, and evidence against one of them.
     """
-    n = pixels.shape[0]
-    cell_leaf, leaf, cell_total = work
-    for y in range(first, stop):
-        if y % COARSE_PX == 0:
-            of_cells = cells[:, y // COARSE_PX]
-            cell_total[:] = bias
-            for t in range(scores.shape[0]):
-                cell_leaf[:] = 0
-                for bit in range(scores.shape[1]):
-                    if scores[t, bit] >= n:
-                        _add_answers(of_cells[scores[t, bit] - n], limits[t, bit], np.int32(1 << bit), cell_leaf)
-                if t < n_coarse:
-                    _add_leaves(leaves[t], cell_leaf, cell_total)
-                else:
-                    _spread(cell_leaf, answers[t - n_coarse])
-            _spread(cell_total, coarse)
-            for k in range(n, row.shape[0]):
-                _spread(of_cells[k - n], row[k])
-        for k in range(n):
-            _copy(pixels[k, y], row[k])
-        total = probability[y]
-        _copy(coarse, total)
-        for t in range(n_coarse, scores.shape[0]):
-            _copy(answers[t - n_coarse], leaf)
-            for bit in range(scores.shape[1]):
-                if scores[t, bit] < n:
-                    _add_answers(row[scores[t, bit]], limits[t, bit], np.int32(1 << bit), leaf)
-            _add_leaves(leaves[t], leaf, total)
-        for x in range(total.size):
-            total[x] = np.float32(1) / (np.float32(1) + np.exp(-total[x]))
-            if total[x] >= least:
-                reason[y, x] = Origin.MEASURED
-            elif reason[y, x] == Origin.MEASURED:
-                reason[y, x] = _reason(row, x, scores, limits, leaves, of_score, against)
+    asked, at, leaves = trees
+    col, here, cell_leaf, cell_total, answers, against_cells, is_known = of_cells
+    score, leaf, total, against = of_pixels
+    probability, reason = out
+    n, n_rows, n_cols = pixels.shape
+    bias, least = limits[0], limits[1]
+    for i in range(cells.shape[1]):
+        top, stop = COARSE_PX * i, min(COARSE_PX * (i + 1), n_rows)
+        count = _open_cells(forbidden[top:stop], col)
+        for k in range(cells.shape[0]):
+            _pick_cells(cells[k, i], col, here[k, :count])
+        cell_total[:] = bias
+        is_known[:] = False
+        for t in range(asked.shape[0]):
+            cell_leaf[:] = 0
+            for bit in range(asked.shape[1]):
+                if asked[t, bit] >= n:
+                    _add_answers(here[asked[t, bit] - n, :count], at[t, bit], np.int32(1 << bit), cell_leaf)
+            if t < n_coarse:
+                _add_leaves(leaves[t], cell_leaf, cell_total[:count])
+            else:
+                _copy(cell_leaf[:count], answers[t - n_coarse])
+        for y in range(top, stop):
+            for k in range(n):
+                _pick_pixels(pixels[k, y], col[:count], score[k])
+            _spread(cell_total[:count], total)
+            for t in range(n_coarse, asked.shape[0]):
+                _spread(answers[t - n_coarse, :count], leaf)
+                for bit in range(asked.shape[1]):
+                    if asked[t, bit] < n:
+                        _add_answers(score[asked[t, bit], : COARSE_PX * count], at[t, bit], np.int32(1 << bit), leaf)
+                _add_leaves(leaves[t], leaf, total[: COARSE_PX * count])
+            for k in range(COARSE_PX * count):
+                j = k // COARSE_PX
+                x = COARSE_PX * col[j] + k % COARSE_PX
+                if x < n_cols and not forbidden[y, x]:
+                    probable = np.float32(1) / (np.float32(1) + np.exp(-total[k]))
+                    probability[y, x] = probable
+                    if probable >= least:
+                        reason[y, x] = Origin.MEASURED
+                    elif reason[y, x] == Origin.MEASURED:
+                        if not is_known[j]:
+                            is_known[j] = True
+                            against_cells[j] = 0
+                            _speak_against(here, j, score, k, 0, n_coarse, trees, of_score, against_cells[j])
+                        against[:] = -np.inf
+                        for s in range(of_score.size):
+                            against[of_score[s]] = against_cells[j, of_score[s]]
+                        _speak_against(here, j, score, k, n_coarse, asked.shape[0], trees, of_score, against)
+                        reason[y, x] = against.argmax()
+
+
+@lean_part
+def _open_cells(forbidden: Bools, col: Int32s) -> Int:
+    """Write the columns of the cells with a pixel that is not forbidden, and return how many there are."""
+    count = 0
+    for j in range(col.size):
+        is_open = False
+        for y in range(forbidden.shape[0]):
+            for x in range(COARSE_PX * j, min(COARSE_PX * (j + 1), forbidden.shape[1])):
+                is_open |= not forbidden[y, x]
+        if is_open:
+            col[count] = j
+            count += 1
+    return count
+
+
+@lean_part
+def _pick_cells(cells: Float32s, col: Int32s, out: Float32s) -> None:
+    for j in range(out.size):
+        out[j] = cells[col[j]]
+
+
+@lean_part
+def _pick_pixels(pixels: Float32s, col: Int32s, out: Float32s) -> None:
+    """Take the pixels of cells; beyond the frame the last one repeats."""
+    last = pixels.size - 1
+    for j in range(col.size):
+        for r in range(COARSE_PX):
+            out[COARSE_PX * j + r] = pixels[min(COARSE_PX * col[j] + r, last)]
 
 
 @lean_part
 def _copy(values: Any, out: Any) -> None:
-    for x in range(out.size):
+    for x in range(values.size):
         out[x] = values[x]
 
 
 @lean_part
 def _spread(cells: Any, out: Any) -> None:
-    for x in range(out.size):
-        out[x] = cells[x // COARSE_PX]
+    for j in range(cells.size):
+        for r in range(COARSE_PX):
+            out[COARSE_PX * j + r] = cells[j]
 
 
 @lean_part
 def _add_answers(score: Float32s, limit: Real, power: Int, leaf: Int32s) -> None:
-    for x in range(leaf.size):
+    for x in range(score.size):
         leaf[x] += power if score[x] > limit else np.int32(0)
 
 
@@ -513,20 +620,27 @@ def _add_leaves(leaves: Float32s, leaf: Int32s, out: Float32s) -> None:
 
 
 @lean_part
-def _reason(
-    row: Float32s, x: Int, scores: UInt8s, limits: Float32s, leaves: Float32s, of_score: UInt8s, against: Float32s
-) -> Int:
-    """Return the reason whose scores would raise the sum most with other answers."""
-    against[:] = -np.inf
-    for k in range(of_score.size):
-        against[of_score[k]] = 0
-    for t in range(scores.shape[0]):
+def _speak_against(
+    cells: Float32s,
+    j: Int,
+    pixels: Float32s,
+    x: Int,
+    first: Int,
+    stop: Int,
+    trees: tuple[UInt8s, Float32s, Float32s],
+    of_score: UInt8s,
+    against: Float32s,
+) -> None:
+    """Add what other answers would raise the sum by to the reasons of their scores, of some trees."""
+    asked, at, leaves = trees
+    n = pixels.shape[0]
+    for t in range(first, stop):
         leaf = 0
-        for bit in range(scores.shape[1]):
-            leaf += (1 << bit) if row[scores[t, bit], x] > limits[t, bit] else 0
-        for bit in range(scores.shape[1]):
-            against[of_score[scores[t, bit]]] += leaves[t, leaf ^ (1 << bit)] - leaves[t, leaf]
-    return against.argmax()
+        for bit in range(asked.shape[1]):
+            k = asked[t, bit]
+            leaf += (1 << bit) if (pixels[k, x] if k < n else cells[k - n, j]) > at[t, bit] else 0
+        for bit in range(asked.shape[1]):
+            against[of_score[asked[t, bit]]] += leaves[t, leaf ^ (1 << bit)] - leaves[t, leaf]
 
 
 def alone(probable: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
@@ -557,5 +671,7 @@ def warm_up() -> None:
     _compare_cells(
         cells, cells, cells, (1, 1, 1), 1.0, 1.0, 1.0, cells.repeat(3, axis=0), np.zeros((5, 2, 2), np.float32)
     )
-    scores = Scores(np.zeros((len(PIXEL_SCORES), 8, 8), np.float32), np.zeros((len(CELL_SCORES), 2, 2), np.float32))
-    weigh(scores, 0.5, trained_trees(), np.zeros((8, 8), np.uint8), threads=1)
+    scores = Scores(
+        lambda _: np.zeros((len(PIXEL_SCORES), 8, 8), np.float32), np.zeros((len(CELL_SCORES), 2, 2), np.float32)
+    )
+    weigh(scores, 0.5, trained_trees(), np.zeros((8, 8), np.uint8), np.zeros((8, 8), np.bool_), threads=1)
