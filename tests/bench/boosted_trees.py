@@ -35,9 +35,9 @@ class Boosting:
     """
 
     trees: int = 240
-    questions: int = 4
-    every: int = 4
-    rate: float = 0.1
+    questions: int = 3
+    every: int = 6
+    rate: float = 0.12
     ridge: float = 20.0
     share: float = 0.5
     seed: int = 0
