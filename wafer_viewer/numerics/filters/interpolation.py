@@ -20,11 +20,10 @@ Plane = NDArray[np.float64]
 class LocalPlanes(NamedTuple):
     """Planes fitted to the finite pixels of the window around each pixel, all float64 [row, col].
 
-    coverage: finite fraction of the part of the window inside the map; gradient: steepest slope, height per pixel;
-    residual: root mean square distance from the plane; height: of the plane at the pixel, NaN where no pixel is finite.
+    gradient: steepest slope, height per pixel; residual: root mean square distance from the plane; height: of the plane
+    at the pixel, NaN where no pixel is finite.
     """
 
-    coverage: Plane
     gradient: Plane
     residual: Plane
     height: Plane
@@ -50,7 +49,7 @@ def _fit_planes(z: Float64s, reach: Int, base: Real, sums: Float64s, out: tuple[
     Coordinates are those from the middle of the map. Moments of a window follow from those of its neighbour.
     """
     n_rows, n_cols = z.shape
-    coverage, gradient, residual, height = out
+    gradient, residual, height = out
     middle_y, middle_x = (n_rows - 1) / 2, (n_cols - 1) / 2
     for row in range(min(reach, n_rows)):
         _add_row(z[row], row - middle_y, 1.0, sums)
@@ -59,7 +58,6 @@ def _fit_planes(z: Float64s, reach: Int, base: Real, sums: Float64s, out: tuple[
             _add_row(z[i + reach], i + reach - middle_y, 1.0, sums)
         if i > reach:
             _add_row(z[i - reach - 1], i - reach - 1 - middle_y, -1.0, sums)
-        rows = min(i + reach, n_rows - 1) - max(i - reach, 0) + 1
         w, wy, wyy, s, sy, ss, wx, wxx, wxy, sx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(-reach, n_cols):
             for col, sign in ((k + reach, 1.0), (k - reach - 1, -1.0)):
@@ -70,7 +68,6 @@ def _fit_planes(z: Float64s, reach: Int, base: Real, sums: Float64s, out: tuple[
                     wx, wxx, wxy, sx = wx + one * x, wxx + one * x * x, wxy + by_y * x, sx + of_z * x
             if k < 0:
                 continue
-            cols = min(k + reach, n_cols - 1) - max(k - reach, 0) + 1
             n = max(w, 0.5)
             mean_y, mean_x, mean_z = wy / n, wx / n, s / n
             yy, xx, xy = wyy / n - mean_y**2, wxx / n - mean_x**2, wxy / n - mean_x * mean_y
@@ -78,7 +75,6 @@ def _fit_planes(z: Float64s, reach: Int, base: Real, sums: Float64s, out: tuple[
             determinant = xx * yy - xy**2
             inverse = 1 / determinant if determinant > _LEAST_DETERMINANT else 0.0
             down, right = inverse * (xx * zy - xy * zx), inverse * (yy * zx - xy * zy)
-            coverage[i, k] = w / (rows * cols)
             gradient[i, k] = math.sqrt(down**2 + right**2)
             residual[i, k] = math.sqrt(max(zz - down * zy - right * zx, 0.0))
             there = base + mean_z + down * (i - middle_y - mean_y) + right * (k - middle_x - mean_x)
