@@ -368,7 +368,8 @@ def _symmetry_scores(mirror: Symmetry) -> Iterator[NDArray[Any]]:
 def _finite(planes: tuple[NDArray[Any], ...]) -> Float32s:
     """Return planes of scores, -1 where they are not known, within `_LARGEST`."""
     out = np.empty((len(planes), *planes[0].shape), np.float32)
-    for plane, found in zip(planes, out, strict=True):
+    for number, plane in enumerate(planes):
+        found: Float32s = out[number, :]
         found[:] = plane
         np.copyto(found, _UNKNOWN, where=np.isnan(found))
         np.clip(found, -_LARGEST, _LARGEST, out=found)
