@@ -167,6 +167,15 @@ def test_few_probable_heights_at_the_border_count_for_none() -> None:
     assert alone(probable, 9)[probable].all()
 
 
+def test_heights_refused_as_few_support_no_others() -> None:
+    probable = np.zeros((400, 400), np.bool_)
+    probable[184:216:2, 140:260] = True  # its middle has a tenth around it, its ends do not
+    around = probable[134:266, 134:266].mean(), probable[134:266, 74:206].mean()
+    assert around[1] < 0.1 > 0.5 * around[0]
+    found = alone(probable, 9)
+    assert found[probable].all()
+
+
 def test_few_probable_heights_on_bare_ground_of_a_textured_sample_count_for_none() -> None:
     probable = np.ones((300, 300), np.bool_)
     probable[100:200, 100:200] = False

@@ -647,12 +647,17 @@ def _speak_against(
 def alone(probable: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
     """Return a mask of the pixels with too few probable heights around them, within four windows or far.
 
-    At the border of the frame these squares lie inside, so that as many heights are asked for as elsewhere.
+    At the border of the frame these squares lie inside, so that as many heights are asked for as elsewhere. What is left
+    has as many around it: heights that are refused for this support no others.
     """
     shape = probable.shape
     share = cell_means(probable.view(np.uint8), (-(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)))
-    fewest = np.minimum(_mean_inside(share, window | 1), _mean_inside(share, FAR_CELLS))
-    return repeated(fewest < LEAST_AROUND, COARSE_PX, shape)
+    while True:
+        fewest = np.minimum(_mean_inside(share, window | 1), _mean_inside(share, FAR_CELLS))
+        few = (fewest < LEAST_AROUND) & (share > 0)
+        if not few.any():
+            return repeated(share == 0, COARSE_PX, shape)
+        share[few] = 0
 
 
 def _mean_inside(cells: NDArray[np.float32], size: int) -> NDArray[np.float32]:
