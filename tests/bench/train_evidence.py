@@ -55,7 +55,7 @@ RECORD = Path(evidence.__file__).with_name("evidence.json")
 Training = dict[str, tuple[Sequence[int], Sequence[tuple[int, float]]]]
 TRAINING: Training = {
     "trenches": (
-        [*range(300, 339), *range(340, 420, 2), *range(500, 620, 2), *range(527, 541, 2)],
+        [*range(300, 420), *range(500, 620, 2), *range(501, 541, 2)],
         [*((n, 1.7) for n in range(300, 340, 2)), *((n, 0.6) for n in range(340, 380, 2))],
     ),
     "print": (range(300, 332), [(300, 1.7), (301, 1.7), (302, 1.7), (303, 1.7), (304, 1.7)]),
