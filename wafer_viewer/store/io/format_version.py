@@ -8,9 +8,9 @@ from `OLDEST` on is read:
 - 2: keys of features (upper, lower, nominal_um, lower_limit_um, upper_limit_um) that no dataset has. Heights do not say
   whether an import made up the positions of their fields.
 - 3: textures have no volumes, no Smr(c) and Smc, no peaks and no choice of slopes and borders, roughness neither slopes
-  nor a core, elements, noise and borders. Recipes have no least probability. Lines of a budget have no type, distribution and degrees of freedom:
-  Student's t is in their standard uncertainty. Dies are not measured (tilts, offset, bow, brightness), and have neither
-  limits nor rules for that.
+  nor a core, elements, noise and borders. Recipes have no least probability. Lines of a budget have no type,
+  distribution and degrees of freedom: Student's t is in their standard uncertainty. Dies are not measured (tilts,
+  offset, bow, brightness), and have neither limits nor rules for that.
 """
 
 from __future__ import annotations
