@@ -38,7 +38,8 @@ from wafer_viewer.reconstruct.field_pipeline import (
     vetoed,
 )
 from wafer_viewer.reconstruct.gates import evidence
-from wafer_viewer.reconstruct.gates.evidence import CELL_SCORES, LEAST_AROUND, LEAST_PROBABILITY, PIXEL_SCORES
+from wafer_viewer.reconstruct.gates.evidence import LEAST_AROUND, LEAST_PROBABILITY
+from wafer_viewer.reconstruct.gates.evidence_scores import CELL_SCORES, PIXEL_SCORES
 
 SCORES = (*PIXEL_SCORES, *CELL_SCORES)
 RAISES = ("contrast", "lead", "fall", "fall share", "range", "border", "accepted", "accepted around")

@@ -42,8 +42,9 @@ from wafer_viewer.reconstruct.frame_blocks import Frames
 from wafer_viewer.reconstruct.gates.edge_bleeding import BleedingEdges, find_edges, judge_edges
 from wafer_viewer.reconstruct.gates.edge_bleeding import warm_up as warm_up_edges
 from wafer_viewer.reconstruct.gates.edge_sides import EdgeSide, cell_medians
-from wafer_viewer.reconstruct.gates.evidence import Scores, Units, alone, scores_of, trained_trees, weigh
+from wafer_viewer.reconstruct.gates.evidence import alone, trained_trees, weigh
 from wafer_viewer.reconstruct.gates.evidence import warm_up as warm_up_evidence
+from wafer_viewer.reconstruct.gates.evidence_scores import Scores, Units, scores_of
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, GateTest, checks, first_failed
 from wafer_viewer.reconstruct.gates.mirrored_light import Symmetry, mirror_sums
 from wafer_viewer.reconstruct.gates.silhouettes import Silhouette

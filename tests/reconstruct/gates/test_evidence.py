@@ -30,15 +30,8 @@ from wafer_viewer.reconstruct.field_pipeline import (
     weigh_evidence,
 )
 from wafer_viewer.reconstruct.focus.peak_search import noise_scores
-from wafer_viewer.reconstruct.gates.evidence import (
-    CELL_SCORES,
-    PIXEL_SCORES,
-    Scores,
-    Trees,
-    alone,
-    trained_trees,
-    weigh,
-)
+from wafer_viewer.reconstruct.gates.evidence import Trees, alone, trained_trees, weigh
+from wafer_viewer.reconstruct.gates.evidence_scores import CELL_SCORES, PIXEL_SCORES, Scores
 
 LARGEST_RECORD = 200_000
 """Bytes."""
