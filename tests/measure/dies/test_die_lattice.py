@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from tests.support.patterned_surface import Wafer
 from tests.support.patterned_surface import made as freshly_made
@@ -22,6 +23,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.height_map import HeightMap
 
 MOST_PPM, MOST_PX = 50, 0.25
 made = cache(freshly_made)
@@ -65,6 +67,26 @@ def test_either_evidence_is_enough(evidence, other):
     grid = find_dies(blank, evidence=evidence)
     require_found(grid, Wafer())
     assert grid == find_dies(surface, evidence=evidence), "the other evidence is not looked at"
+
+
+def with_rough_rims(wafer: Wafer) -> HeightMap:
+    """The surface with walls unmeasured, and within 24 um of them heights that are rough and full of holes."""
+    surface, rng = made(wafer), np.random.default_rng(1)
+    x, y = np.meshgrid(np.arange(wafer.cols), np.arange(wafer.rows - 1, -1, -1))
+    _, _, u, v = wafer.grid.to_die(x * wafer.pixel_um, y * wafer.pixel_um)
+    inside_um = np.minimum(np.minimum(u, wafer.width_um - u), np.minimum(v, wafer.height_um - v))
+    rim = (inside_um > 0) & (inside_um < 24)
+    rough, holes = (gaussian_filter(rng.standard_normal(surface.shape), px) for px in (1, 2))
+    z_um = np.where(rim, surface.z_um + 2 * rough / rough.std(), surface.z_um).astype(np.float32)
+    z_um[(np.abs(inside_um) < 8) | (rim & (holes > 0.15))] = np.nan
+    return dataclasses.replace(surface, z_um=z_um, z_raw_um=z_um)
+
+
+@pytest.mark.slow
+def test_dies_with_rough_rims_are_found_by_what_repeats():
+    wafer = Wafer(rows=250, cols=360, die_over_street_um=15, noise_um=0.05)
+    grid = find_dies(with_rough_rims(wafer))
+    assert (grid.pitch_x_um, grid.pitch_y_um) == pytest.approx((wafer.pitch_x_um, wafer.pitch_y_um), abs=0.2)
 
 
 @pytest.mark.slow

@@ -57,8 +57,12 @@ class PeriodicityParameters:
         Segments of a column that are compared one by one; missing dies spoil some of them.
     similar : float
         Smallest correlation of similar segments.
+    nearly : float
+        Weight of a correlation one pixel off, which is larger by chance.
     majority : float
         Fraction of a column's dissimilar segments from which the column is dissimilar.
+    repeating : float
+        Smallest share of a layer's energy that counts as repeating.
     energy : float
         Smallest energy of a compared column relative to the columns rich in edges.
     least_correlation : float
@@ -120,7 +124,9 @@ class PeriodicityParameters:
     longest: float = 0.85
     segments: int = 6
     similar: float = 0.5
+    nearly: float = 0.8
     majority: float = 0.6
+    repeating: float = 0.4
     energy: float = 0.1
     least_correlation: float = 0.3
     scatters: float = 4.0
@@ -357,7 +363,7 @@ def similarity(seen: Sequence[Gradients], active: Bools) -> Similarity:
     """Return the similarity of the columns of a pattern whose rotation is removed."""
     from scipy.ndimage import uniform_filter1d
 
-    parts = list(_segments(seen, active))
+    parts = _segments(seen, active)
     n = active.shape[1]
     energies = [part.energy for part in parts]
     energy = np.asarray(uniform_filter1d(np.diag(np.sum(energies, axis=0)), 3))
@@ -373,7 +379,8 @@ def similarity(seen: Sequence[Gradients], active: Bools) -> Similarity:
         alike = np.array([_diagonal(part.product, lag, first, last) for part in parts])
         total = np.array([_diagonal(part.energy, lag, first, last) for part in parts])
         rich_enough = total.sum(axis=0) > PERIODICITY.energy * rich
-        unbroken[lag] = _longest_run(_dissimilar(alike, total, floors) & rich_enough)
+        nearly = np.array([_within_a_pixel(part.product, lag, first, last) for part in parts])
+        unbroken[lag] = _longest_run(_dissimilar(nearly, total, floors) & rich_enough)
         correlation[lag] = _positive(alike) / max(_positive(total), scatter * total.shape[1], 1e-9)
         recurring[lag] = _recurring(street, crossings, lag)
     middle = (n - 1) / 2
@@ -393,15 +400,41 @@ class Segment:
     scatter: float
 
 
-def _segments(seen: Sequence[Gradients], active: Bools) -> Iterator[Segment]:
+def _segments(seen: Sequence[Gradients], active: Bools) -> list[Segment]:
+    """Return the products of the columns over bands of rows; of a layer, what repeats nowhere is no energy."""
+    layers = [list(_segments_of(one, active)) for one in seen]
+    return [_joined(parts, list(map(_repeating, layers))) for parts in zip(*layers, strict=True)]
+
+
+def _segments_of(one: Gradients, active: Bools) -> Iterator[Segment]:
     for rows in np.array_split(np.arange(active.shape[0]), PERIODICITY.segments):
         part = slice(int(rows[0]), int(rows[-1]) + 1)
-        known = np.concatenate([(one.known & active)[part] for one in seen for _ in range(2)]).astype(np.float32)
-        values = np.concatenate([plane[part] for one in seen for plane in (one.right, one.down)]) * known
-        noise = np.repeat([one.noise for one in seen], 2 * rows.size).astype(np.float32)[:, None]
-        energy = ((values * values - noise) * known).T @ known
-        scatter = PERIODICITY.scatters * math.sqrt(2 * rows.size * sum(one.noise**2 for one in seen))
+        known = np.concatenate([(one.known & active)[part]] * 2).astype(np.float32)
+        values = np.concatenate([one.right[part], one.down[part]]) * known
+        energy = ((values * values - np.float32(one.noise)) * known).T @ known
+        scatter = PERIODICITY.scatters * math.sqrt(2 * rows.size) * one.noise
         yield Segment(np.asarray(values.T @ values), np.asarray((energy + energy.T) / 2), scatter)
+
+
+def _repeating(parts: Sequence[Segment]) -> float:
+    """Return the share of a layer's energy that is alike at the best of all lags, `PERIODICITY.repeating` at least.
+
+    Edges of what is measured differ from die to die: they are strong, and no noise of a pixel.
+    """
+    product, energy = np.sum([part.product for part in parts], axis=0), np.sum([part.energy for part in parts], axis=0)
+    lags = range(PERIODICITY.shortest_px, math.floor(PERIODICITY.longest * len(product)))
+    shares = [_positive(np.diag(product, lag)[None]) / max(_positive(np.diag(energy, lag)[None]), 1e-9) for lag in lags]
+    return float(np.clip(max(shares, default=1.0), PERIODICITY.repeating, 1.0))
+
+
+def _joined(parts: Sequence[Segment], shares: Sequence[float]) -> Segment:
+    """Return the sums over layers, of whose energies the given shares count."""
+    energies = [share * part.energy for share, part in zip(shares, parts, strict=True)]
+    return Segment(
+        np.sum([part.product for part in parts], axis=0),
+        np.sum(energies, axis=0),
+        math.hypot(*(part.scatter for part in parts)),
+    )
 
 
 def _crossings(seen: Sequence[Gradients], active: Bools, first: int, last: int) -> Floats:
@@ -443,6 +476,14 @@ def _diagonal(plane: Floats, lag: int, first: int, last: int) -> Floats:
     from scipy.ndimage import uniform_filter1d
 
     return np.asarray(uniform_filter1d(np.diag(plane, lag), 3), np.float64)[first : last - lag + 1]
+
+
+def _within_a_pixel(plane: Floats, lag: int, first: int, last: int) -> Floats:
+    """Return the largest of the diagonals at a lag and next to it: a pitch is no whole number of pixels."""
+    best = _diagonal(plane, lag, first, last)
+    for near in (_diagonal(plane, lag - 1, first, last)[: len(best)], _diagonal(plane, lag + 1, first, last)):
+        best[: len(near)] = np.maximum(best[: len(near)], PERIODICITY.nearly * near)
+    return best
 
 
 def _dissimilar(alike: Floats, total: Floats, floors: Sequence[float]) -> Bools:
