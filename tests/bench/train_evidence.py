@@ -27,7 +27,7 @@ from tests.bench.harness import HOME, percent, read_options, show
 from tests.truth.families import family_scene
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface.recipe import LEAST_PROBABILITY, Recipe
 from wafer_viewer.reconstruct.field_pipeline import (
     correct_edges,
     evidence_scores,
@@ -38,7 +38,7 @@ from wafer_viewer.reconstruct.field_pipeline import (
     vetoed,
 )
 from wafer_viewer.reconstruct.gates import evidence
-from wafer_viewer.reconstruct.gates.evidence import LEAST_AROUND, LEAST_PROBABILITY
+from wafer_viewer.reconstruct.gates.evidence import LEAST_AROUND
 from wafer_viewer.reconstruct.gates.evidence_scores import CELL_SCORES, PIXEL_SCORES
 
 SCORES = (*PIXEL_SCORES, *CELL_SCORES)

@@ -295,7 +295,7 @@ class WeighedHeights:
 def weigh_evidence(field: PreparedField, corrected: CorrectedPeaks, threads: int | None = None) -> WeighedHeights:
     """Decide which heights count by the probability that they are right; by the gates alone where it may be 0."""
     recipe, least = field.tuned.recipe, float(field.tuned.recipe.least_probability)
-    if least <= 0 or float(recipe.min_confidence) <= 0:
+    if not recipe.weighs_evidence:
         return WeighedHeights(corrected, corrected.gated.peaks.confidence, corrected.origin, is_probability=False)
     scores = evidence_scores(field, corrected, mirror_of(field, corrected.gated, threads))
     forbidden = vetoed(field, corrected)

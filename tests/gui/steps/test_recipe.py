@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import typing
 
+import msgspec
 import pytest
 
 from tests.browser.sessions import fake_session as fake
+from tests.gui.tools.test_clip_box import FACTS
 from wafer_viewer.draw.quantities import recipe_rows
 from wafer_viewer.gui.steps.surface import reconstruction as words
 from wafer_viewer.model.spec import Spec, replace, settings_of
-from wafer_viewer.model.surface.recipe import READY_RECIPES, Levy, Recipe, Window
+from wafer_viewer.model.surface.recipe import LEAST_PROBABILITY, READY_RECIPES, Levy, Recipe, Window
 
 
 @pytest.mark.parametrize("path", settings_of(Recipe))
@@ -73,6 +76,25 @@ def test_flights_are_told_where_there_are_any(mode, said):
 
 def test_only_the_papers_method_believes_every_peak():
     assert [words.accepts_all_peaks(READY_RECIPES[key]) for key in ("default", "paper")] == [False, True]
+
+
+def test_the_least_probability_says_what_it_keeps_and_how_much_of_that_is_false():
+    facts = msgspec.structs.replace(FACTS, by_probability=(*[0] * 50, 20, *[0] * 44, 20, *[0] * 3, 60))
+    assert words.expected(facts, 0.9).endswith(
+        ">Keeps 80.0\u202f% of the ground, 1.5\u202f% of that expected to be false.</div>"
+    )
+    assert "Keeps 100.0\u202f%" in words.expected(facts, 0.5)
+    assert not words.expected(FACTS, 0.9), "nothing is told of heights without a probability"
+    assert not words.expected(facts, 0.0)
+
+
+def test_the_least_probability_of_auto_is_that_of_the_surface():
+    info = fake.measured().surface
+    assert info is not None
+    settled = replace(Recipe(), least_probability=0.8)
+    assert words.least_probability(Recipe(), None) == LEAST_PROBABILITY
+    assert words.least_probability(Recipe(), dataclasses.replace(info, settled=settled)) == 0.8
+    assert words.least_probability(replace(Recipe(), least_probability=0.5), info) == 0.5
 
 
 def test_notes_that_differ_by_numbers_alone_are_told_once_and_unfold():

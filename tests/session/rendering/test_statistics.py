@@ -13,11 +13,18 @@ from tests.support.page_stand_in import MemoryShelf, height_map
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, PartOfMosaic
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.rendering import render_statistics
 from wafer_viewer.session.rendering.render_pictures import paint
-from wafer_viewer.session.rendering.render_request import RenderRequest, Statistics, SurfaceKey
+from wafer_viewer.session.rendering.render_request import (
+    RenderRequest,
+    Statistics,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 
 PIXEL = 0.5
 ROWS, COLS = 120, 160
@@ -51,6 +58,21 @@ def test_a_surface_in_numbers(surface: HeightMap):
     assert reported.mean_um == pytest.approx(surface.z_um[present].mean(), rel=1e-5)
     assert reported.spread_um == pytest.approx(surface.z_um[present].std(ddof=1), rel=1e-4)
     assert sum(reported.counts) == present.sum()
+
+
+def test_heights_are_counted_by_their_probability_where_they_have_one(surface: HeightMap):
+    def facts(recipe: Recipe) -> SurfaceStatistics:
+        shown = dataclasses.replace(surface, provenance=replace(surface.provenance, recipe=recipe))
+        request = RenderRequest(SurfaceKey(Path("x"), "default", 0, 1), "facts")
+        return msgspec.msgpack.decode(paint(MemoryShelf({0: shown}), request), type=SurfaceStatistics)
+
+    found = facts(replace(Recipe(), least_probability=0.96))
+    assert sum(found.by_probability) == ROWS * COLS
+    kept, false = found.kept_from(0.9)
+    assert kept == pytest.approx(0.1, abs=0.01)
+    assert false == pytest.approx(0.05, abs=0.01)
+    assert facts(Recipe.paper()).by_probability == ()
+    assert facts(Recipe()).by_probability == (), "nothing was weighed"
 
 
 def test_what_no_field_covers_is_nobodys_loss(surface: HeightMap):

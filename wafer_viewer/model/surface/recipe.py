@@ -172,6 +172,13 @@ class Stitching(Spec, frozen=True, kw_only=True):
     tilt_error: Annotated[Positive | Auto, Setting("Error of the stage in tilt", _PRIOR, unit="µm/µm")] = "auto"
 
 
+LEAST_PROBABILITY, LEAST_IN_SHORT_STACKS = 0.96, 0.8
+"""Least probability of `auto`, and that in stacks of fewer than 12 frames: tests/bench/bench_families.py.
+
+In short stacks neither walls nor a wider window are looked at, and hardly a height is as sure.
+"""
+
+
 class Recipe(Spec, frozen=True, kw_only=True):
     """All settings from stack to surface. A result carries the recipe with the values chosen by ``auto``.
 
@@ -249,6 +256,11 @@ class Recipe(Spec, frozen=True, kw_only=True):
         if self.fill.mode != "small_gaps":
             unused.add("fill.max_gap_px")
         return frozenset(unused)
+
+    @property
+    def weighs_evidence(self) -> bool:
+        """True if heights count by their probability, which is then their confidence; else the gates alone decide."""
+        return self.least_probability != 0 and self.min_confidence != 0
 
     @property
     def has_auto(self) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import LEAST_IN_SHORT_STACKS, LEAST_PROBABILITY
 from wafer_viewer.numerics.filters.regions import component_sizes
 from wafer_viewer.numerics.filters.sliding_filters import mean, repeated
 from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Real, UInt8s, lean_kernel, lean_part
@@ -35,11 +36,6 @@ LEAST_AROUND = 0.1
 
 Where hardly anything is probable, what is may be the same error of a whole scene. The same share is asked of a square
 of four windows: on bare ground a few heights that are wrong together are the only ones far and wide.
-"""
-LEAST_PROBABILITY, LEAST_IN_SHORT_STACKS = 0.96, 0.8
-"""Least probability of `auto`, and that in stacks of fewer than `LEAST_FRAMES` frames: tests/bench/bench_families.py.
-
-In short stacks neither walls nor a wider window are looked at, and hardly a height is as sure.
 """
 _ROWS = 32
 """Rows of pixels that are weighed together; a multiple of `COARSE_PX`."""

@@ -167,7 +167,8 @@ class SurfaceStatistics(msgspec.Struct, frozen=True):
     """Statistics of a surface, answer to ``facts``: its lattice, measured area, heights and light.
 
     has_overlaps: whether height differences between fields are known for pixels that several fields measured;
-    has_uncertainty: whether uncertainties of single heights are known.
+    has_uncertainty: whether uncertainties of single heights are known. by_probability: number of covered pixels by the
+    probability that their height is right, in steps of 1 %, of a sample; empty where heights have none.
     """
 
     rows: int
@@ -188,6 +189,15 @@ class SurfaceStatistics(msgspec.Struct, frozen=True):
     has_overlaps: bool = False
     form: Form = ()
     has_uncertainty: bool = False
+    by_probability: tuple[int, ...] = ()
+
+    def kept_from(self, probability: float) -> tuple[float, float]:
+        """Return the share of heights that are at least so probable, and the share of these expected to be false."""
+        likely = np.arange(len(self.by_probability)) / 100 + 0.005
+        kept = np.where(likely >= probability, self.by_probability, 0)
+        return float(kept.sum()) / max(1, sum(self.by_probability)), float(kept @ (1 - likely)) / max(
+            1, int(kept.sum())
+        )
 
     @property
     def unavailable(self) -> tuple[str, ...]:

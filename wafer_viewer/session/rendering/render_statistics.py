@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import msgspec
@@ -242,6 +244,8 @@ def _shares(counts: NDArray[np.int64]) -> _Shares:
 
 _SUMMARY_BINS = 60
 _LEAST_FOR_FORM = 50
+_PATCHES, _PATCH_PX = 5, 256
+"""Patches along each axis of a surface, and their size, from which probabilities are counted."""
 
 
 def facts(provider: SurfaceProvider, request: RenderRequest) -> bytes:
@@ -257,8 +261,30 @@ def facts(provider: SurfaceProvider, request: RenderRequest) -> bytes:
         *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
         float(heights.min()), float(heights.max()), low, high,
         light_gain(part.z_um, part.pixel_um), _plane(part), _has(part.overlap_um), _form(part), _has(part.u_um),
+        _by_probability(surface),
     )  # fmt: skip
     return msgspec.msgpack.encode(facts)
+
+
+def _by_probability(surface: Mosaic) -> tuple[int, ...]:
+    """Return the number of covered pixels by the probability of their heights, in patches spread over the surface."""
+    recipe = surface.provenance.recipe
+    if recipe.least_probability == "auto" or not recipe.weighs_evidence:  # auto: of no heights that were weighed
+        return ()
+    counts = np.zeros(100, np.int64)
+    for rows, cols in itertools.product(*map(_patches, surface.shape)):
+        x_um = [surface.x0_um + col * surface.pixel_um for col in (cols.start, cols.stop - 1)]
+        y_um = [surface.y0_um - row * surface.pixel_um for row in (rows.stop - 1, rows.start)]
+        part = surface.window(Region.rectangle(x_um[0], y_um[0], x_um[1], y_um[1]))
+        probable = part.confidence[part.origin != Origin.NOT_COVERED]
+        counts += np.bincount(np.clip(100 * probable, 0, 99).astype(np.intp), minlength=100)
+    return tuple(counts.tolist())
+
+
+def _patches(n: int) -> list[slice]:
+    """Return ranges of pixels spread over an axis."""
+    ends = [n * k // _PATCHES for k in range(_PATCHES + 1)]
+    return [slice(low, min(high, low + _PATCH_PX)) for low, high in pairwise(ends) if high > low]
 
 
 def _has(layer: NDArray[np.float32] | None) -> bool:

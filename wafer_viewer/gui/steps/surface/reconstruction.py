@@ -12,17 +12,29 @@ import numpy as np
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, share, with_unit
 from wafer_viewer.draw.quantities import recipe_rows, setting_text
 from wafer_viewer.gui.dialogs.dialog import Confirm, ask
-from wafer_viewer.gui.elements.elements import Button, Buttons, Checkbox, Dropdown, Element, Elements, Html, Stack
+from wafer_viewer.gui.elements.elements import (
+    Button,
+    Buttons,
+    Checkbox,
+    Dropdown,
+    Element,
+    Elements,
+    Html,
+    Slider,
+    Stack,
+)
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.spec import replace as replace_spec
 from wafer_viewer.model.spec import settings_of, value_at, with_field
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
-from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
+from wafer_viewer.model.surface.recipe import LEAST_PROBABILITY, READY_RECIPES, Recipe
+from wafer_viewer.session.rendering.render_request import SurfaceStatistics
 from wafer_viewer.session.state.snapshot import OpenDataset, StitchingInfo, SurfaceInfo
 
 READY = {"Default": "default", "The paper's method": "paper"}
@@ -93,6 +105,7 @@ def _form(here: Here[Any], recipe: Recipe) -> Iterator[Element]:
         answer = Confirm(title, viser.Icon.REFRESH, lambda _: page.session.reconstruct(recipe), NOT_CHANGED)
         ask(page, f"{title}?", REPLACES, answer)
 
+    facts = here.page.on_show.facts if here.page.on_show is not None else None
     yield Dropdown("Preset", ready, preset, "All settings at once", options=(*READY, *((OWN,) if ready == OWN else ())))
     for path in _FORM:
         yield from form(
@@ -103,9 +116,38 @@ def _form(here: Here[Any], recipe: Recipe) -> Iterator[Element]:
         )
         if path == "edges":
             yield Html(Markup() if doubts else Markup('<div class="wv-why">{}</div>').format(BELIEVES_ALL))
+            least = least_probability(recipe, here.snapshot.surface)
+            yield Slider(
+                "Probability from, %",
+                100 * least,
+                lambda percent: choose(replace_spec(recipe, least_probability=percent / 100)),
+                settings_of(Recipe)["least_probability"].hint,
+                disabled=not doubts,
+                least=0,
+                most=99,
+                step=1,
+            )
+            yield Html(expected(facts, least) if doubts else Markup())
     busy = data is None or data.read_only is not None or bool(here.snapshot.works)
     icon = viser.Icon.REFRESH
     yield Buttons([Button("Reconstruct again", again, icon, disabled=busy, commands=True, failed=NOT_CHANGED)], 34)
+
+
+def least_probability(recipe: Recipe, info: SurfaceInfo | None) -> float:
+    """Return the least probability of a recipe; for `auto` that of the surface, else that of whole stacks."""
+    if recipe.least_probability != "auto":
+        return float(recipe.least_probability)
+    settled = info.settled.least_probability if info is not None and info.settled is not None else "auto"
+    return LEAST_PROBABILITY if settled == "auto" else float(settled)
+
+
+def expected(facts: SurfaceStatistics | None, least: float) -> Markup:
+    """Return what the heights of the surface on show keep at a least probability, and how many of these are false."""
+    if facts is None or not facts.by_probability or least == 0:
+        return Markup()
+    kept, false = facts.kept_from(least)
+    text = f"Keeps {share(kept)} of the ground, {share(false)} of that expected to be false."
+    return Markup('<div class="wv-why">{}</div>').format(text)
 
 
 def _requested_recipe(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
