@@ -110,25 +110,25 @@ step() {
 }
 
 show_times() {
-  if [ -n "${types:-}" ]; then kill "$types" 2>/dev/null || true; fi
+  if [ -n "${beside:-}" ]; then kill "$beside" 2>/dev/null || true; fi
   printf '\n== In all %d s\n' "$SECONDS"
   printf '%s\n' "${took[@]}"
 }
 trap show_times EXIT
 
-# The types keep one processor busy for half a minute: the other one has the linter and its like meanwhile.
-start_types() {
-  types_told="$(mktemp)"
-  "$bin/pyright" --pythonpath "$bin/python" >"$types_told" 2>&1 &
-  types=$!
+# For what keeps one processor busy for a while: what other steps leave of the machine is used meanwhile.
+start_beside() {
+  beside_told="$(mktemp)"
+  "$@" >"$beside_told" 2>&1 &
+  beside=$!
 }
 
-end_types() {
+end_beside() {
   local failed=0
-  wait "$types" || failed=$?
-  types=
-  cat "$types_told"
-  rm "$types_told"
+  wait "$beside" || failed=$?
+  beside=
+  cat "$beside_told"
+  rm "$beside_told"
   return "$failed"
 }
 
@@ -237,7 +237,7 @@ fi
 bin="$venv/bin"
 export PATH="$bin:$PATH"
 if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
-  start_types
+  start_beside "$bin/pyright" --pythonpath "$bin/python"
   step "Lint" "$bin/ruff" check --quiet .
   step "Docstrings" check_docstrings
   step "Format" "$bin/ruff" format --check --quiet .
@@ -249,12 +249,16 @@ if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
     # One worker more than processors: those of cameras, boards and live pictures wait most of their time.
     step "Tests, fast and slow" run_beside_browser 3 "not hardware"
   fi
-  step "Types" end_types
+  step "Types" end_beside
 fi
-if [ "$what" = all ] || [ "$what" = docs ]; then step "Documentation" "$bin/wafer-viewer" docs --build; fi
+if [ "$what" = docs ]; then step "Documentation" "$bin/wafer-viewer" docs --build; fi
 if [ "$what" = all ]; then
   step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
-  step "Browser tests" run_tests -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser
+  # The examples have run in the tests.
+  WAFER_VIEWER_GALLERY=no start_beside "$bin/wafer-viewer" docs --build
+  # Workers wait for the page, and the page for them.
+  step "Browser tests" run_tests -n 3 --dist loadfile -m "not real_time and not hardware" tests/browser
+  step "Documentation" end_beside
 fi
 if [ "$what" = campaigns ]; then step "Campaigns" all_campaigns "${@:2}"; fi
 if [ "$what" = bench ]; then step "Benchmarks, quick runs" quick_benchmarks; fi
