@@ -13,9 +13,11 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tests.browser.kept_page import PATIENCE_MS, KeptPage, a_page
 from tests.browser.screens import FLAGS
 from tests.browser.sessions.fake_session import FakeSession
+from tests.support.kept_processes import kept_processes
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
+__all__ = ["kept_processes"]
 WINDOW = {"width": 1366, "height": 768}
 LIGHT = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 """Only the scene is drawn as on a graphics card: the page too would make opening it three times as dear."""

@@ -6,12 +6,15 @@ import multiprocessing
 
 import pytest
 
+from tests.support.kept_processes import kept_processes
 from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.job import Job
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.session import Session
+
+__all__ = ["kept_processes"]
 
 
 def small_job(cols=2, rows=1, n_frames=20, z_step_um=2.4):

@@ -131,6 +131,7 @@ class Pinhole(Optics):
         return np.array([self.lean]), np.array([0.0]), np.array([1.0])
 
 
+@pytest.mark.slow
 def test_a_rim_in_focus_is_sharp_before_a_ground_that_is_not():
     scene = two_halves(90.3, left=0.6, right=0.1)
     top = float(scene.truth_um[0, -1])

@@ -208,6 +208,7 @@ def test_what_is_no_lattice_is_refused_in_a_sentence(wafer, sentence):
     assert "give pitch, origin and size of the dies instead" in str(message.value)
 
 
+@pytest.mark.slow
 def test_noise_and_a_blank_surface_are_no_dies():
     surface = made()
     noise = np.random.default_rng(5).standard_normal(surface.shape).astype(np.float32)
@@ -232,6 +233,7 @@ def test_where_every_other_die_is_another_two_dies_repeat():
     assert find_dies(every_other_die_another(125), evidence="picture").pitch_x_um == pytest.approx(320.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_every_other_die_nearly_another_leaves_the_pitch_open():
     with pytest.raises(MeasureError, match="The pitch along x is ambiguous"):
         find_dies(every_other_die_another(118), evidence="picture")

@@ -100,6 +100,7 @@ def test_leftovers_of_a_killed_job_are_removed_by_the_next(pair, names):
     assert not left.exists()
 
 
+@pytest.mark.slow
 def test_nothing_is_kept_of_what_cannot_be_compared(pair, names):
     with pytest.raises(DatasetError, match="compared with itself"):
         subtract(pair[0], "difference-q", names[0], names[0], "auto", False)

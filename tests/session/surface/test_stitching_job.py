@@ -131,6 +131,7 @@ def test_two_runs_on_the_same_surfaces_leave_the_same_bytes(made, tmp_path):
     assert [name for name, content in results[0].items() if content != results[1][name]] == []
 
 
+@pytest.mark.slow
 def test_a_surface_that_is_written_again_with_the_same_content_changes_nothing(dataset, made):
     stored = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)
