@@ -177,6 +177,11 @@ compile_kernels() {
     compile_missing()'
 }
 
+# Once for all workers: each would compile the tests of a bare clone, and prepare their assertions, by itself.
+compile_tests() {
+  [ -d tests/__pycache__ ] || "$venv/bin/python" -m pytest -q --collect-only >/dev/null || true
+}
+
 # Two at a time; what they print is shown in order when all are over.
 quick_benchmarks() {
   local folder failed=0
@@ -234,6 +239,7 @@ if [ "$what" != lint ]; then
   step "Set-up: system packages" install_system_packages
   step "Set-up: kernels" compile_kernels
 fi
+if [ "$what" = all ] || [ "$what" = fast ]; then step "Set-up: tests" compile_tests; fi
 bin="$venv/bin"
 export PATH="$bin:$PATH"
 if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
