@@ -31,8 +31,6 @@ Slot = tuple[ImagePlane | None, ...]
 K = TypeVar("K", bound=Hashable)
 SAME = 1e-3
 """Relative difference up to which two values of one length agree."""
-UNEVEN = 0.1
-"""Largest distance of a stated z from even steps, in steps, at which planes still lie on them."""
 
 
 class UnsettledValue(DatasetError):
