@@ -42,7 +42,13 @@ from wafer_viewer.model.measurement.tool_options import Datum, Levelling
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.rendering.render_request import ColourScale, RenderRequest, SurfaceKey, SurfaceStatistics
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    ColourScale,
+    RenderRequest,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 from wafer_viewer.session.state.snapshot import Snapshot
 
 GRID = grid(2, 2)
@@ -504,3 +510,23 @@ def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
         for name in ("ground/shadow", "ground/hatch")
     )
     assert shadow < 2 * hatch + 1e-6 < 0
+
+
+def test_the_hatch_lies_under_points_only_where_nothing_was_measured():
+    measured = np.ones((10, 20), np.bool_)
+    measured[:3, 15:] = False
+    heights = CoarseHeightField(10, 20, 100.0, 50.0, 950.0, np.zeros((10, 20), "<f4").tobytes(), measured.tobytes())
+
+    def picture(under: CoarseHeightField | None) -> np.ndarray:
+        items = block_items((0.0, 0.0, 2.0, 1.0), False, plinth=False, under_points=under)
+        (hatch,) = (item for item in items if item.name == "ground/hatch")
+        scene = trimesh.load(io.BytesIO(hatch.bake()), file_type="glb")
+        (part,) = scene.geometry.values()
+        return np.asarray(part.visual.material.baseColorTexture.convert("RGBA"))
+
+    assert (picture(None)[..., 3] == 255).all()
+    drawn = picture(heights)[..., 3] > 127
+    rows, cols = drawn.shape
+    assert drawn[: rows // 4, cols * 4 // 5 :].all()
+    assert not drawn[rows // 2 :].any()
+    assert not drawn[:, : cols // 2].any()

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from wafer_viewer.draw.number_format import number, ticks
 from wafer_viewer.draw.surface import mesh, texture_baking
@@ -32,7 +33,12 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.tool_options import Datum
 from wafer_viewer.model.surface.comparison import ComparisonFace, comparison_of
 from wafer_viewer.session.core.dataset_library import stamp_of
-from wafer_viewer.session.rendering.render_request import RenderRequest, SurfaceKey, SurfaceStatistics
+from wafer_viewer.session.rendering.render_request import (
+    CoarseHeightField,
+    RenderRequest,
+    SurfaceKey,
+    SurfaceStatistics,
+)
 from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
 
@@ -92,9 +98,10 @@ def surface_contents(
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     on_show = DisplayedSurface(source, facts, scale, z0, view.exaggeration, datum)
     box, solid = bounds_mm(facts), view.look == "surface"
-    heights = heights_of(on_show, cache.available_relief(source, datum))
+    relief = cache.available_relief(source, datum)
+    heights = heights_of(on_show, relief)
     tiled = TiledSurface(shown, display_style_of(view, scale), view, z0, heights if view.look != "plan" else _level)
-    ground = block_items(box, view.dark, plinth=solid)
+    ground = block_items(box, view.dark, plinth=solid, under_points=relief if view.look == "points" else None)
     return SceneContents(
         items=(*ground, *_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show)),
         visible=tiled.items,
@@ -216,12 +223,17 @@ def _hatch_mm(box: Box) -> float:
     return _HATCH_SHARE * max(box[2] - box[0], box[3] - box[1])
 
 
-def block_items(box: Box, dark: bool, *, plinth: bool) -> list[SceneItem]:
-    """Return the base items of a surface that covers a box and has its lowest height at z = 0."""
+def block_items(
+    box: Box, dark: bool, *, plinth: bool, under_points: CoarseHeightField | None = None
+) -> list[SceneItem]:
+    """Return the base items of a surface that covers a box and has its lowest height at z = 0.
+
+    under_points: the heights, if they are drawn as points: between those no hatch may be seen.
+    """
     depth = plinth_mm(box) if plinth else 2 * _hatch_mm(box)  # level with what lies flat at 0 it would flicker over it
     items = [
         SceneItem("ground/shadow", (box, dark, depth), add_glb, bake=partial(_shadow, box, dark, -depth)),
-        SceneItem("ground/hatch", (box, dark), add_glb, bake=partial(_hatch, box, dark)),
+        SceneItem("ground/hatch", (box, dark, under_points), add_glb, bake=partial(_hatch, box, dark, under_points)),
         SceneItem("ground/scale", (box, dark, depth), partial(_scale_lines, box=box, dark=dark, z=-depth)),
     ]
     return items + (
@@ -239,16 +251,28 @@ def _plinth(box: Box, dark: bool) -> bytes:
     return painted(mesh.walls(edges, -plinth_mm(box)), texture_baking.sides(*texture_baking.PLINTH_TONES[dark]))
 
 
-def _hatch(box: Box, dark: bool) -> bytes:
-    """Return the hatch slightly below the lowest height, visible through holes in the surface."""
+def _hatch(box: Box, dark: bool, under_points: CoarseHeightField | None = None) -> bytes:
+    """Return the hatch slightly below the lowest height: all of it, or where points leave holes."""
     width, height = box[2] - box[0], box[3] - box[1]
     scale = _HATCH_PX_PER_SIDE / max(width, height)
     picture = texture_baking.hatch(
         max(2, round(height * scale)), max(2, round(width * scale)), dark=dark, pitch_px=16, line_px=4
     )
+    if under_points is not None:
+        picture = np.dstack([picture, np.where(_holes(under_points, box, picture.shape[:2]), 255, 0).astype(np.uint8)])
     inset = _hatch_mm(box)
     inner = (box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset)
     return painted(mesh.flat(*inner, -inset), picture)
+
+
+def _holes(heights: CoarseHeightField, box: Box, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return where nothing was measured, on a grid of a shape over a box."""
+    measured = np.frombuffer(heights.measured, np.bool_).reshape(heights.rows, heights.cols)
+    x_um = 1e3 * np.linspace(box[0], box[2], shape[1])
+    y_um = 1e3 * np.linspace(box[3], box[1], shape[0])
+    cols = np.clip(np.rint((x_um - heights.x0_um) / heights.pixel_um), 0, heights.cols - 1).astype(int)
+    rows = np.clip(np.rint((heights.y0_um - y_um) / heights.pixel_um), 0, heights.rows - 1).astype(int)
+    return ~measured[np.ix_(rows, cols)]
 
 
 # ---------------------------------------------------------------- shadow and figures
