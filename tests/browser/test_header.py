@@ -38,6 +38,14 @@ MEASURED = """([stop, steps, others]) => {
   return { wrong, left: r.left, width: r.width, height: r.height };
 }"""
 
+CUT = """() => {
+  const foot = document.querySelector('.wv-strip > div'), box = foot.getBoundingClientRect();
+  const shown = [...foot.children].filter(at => at.getBoundingClientRect().top < box.bottom && at.offsetWidth);
+  const whole = at => at.getBoundingClientRect().right <= box.right + 1 && at.scrollWidth <= at.clientWidth + 1;
+  return shown.filter(at => !whole(at)).map(at => at.textContent);
+}"""
+"""Items of the line at the foot that are neither whole nor left out."""
+
 
 def scanning_over_a_surface() -> fake.FakeSession:
     """All seven steps are possible, and Stop can be pressed."""
@@ -119,6 +127,13 @@ def test_a_done_step_has_its_tick_and_the_present_one_is_the_current_one(page: P
     button(page, "Measure").click()
     expect(button(page, "Measure")).to_have_attribute("aria-current", "step")
     expect(button(page, "Plan")).not_to_have_attribute("aria-current", "step")
+
+
+def test_the_foot_cuts_nothing_in_two_and_keeps_what_the_rig_does(page: Page):
+    for width in (390, 768, 944, 1280, 1600):
+        page.set_viewport_size({"width": width, "height": 768})
+        assert page.evaluate(CUT) == [], width
+        expect(page.locator(".wv-strip .busy")).to_be_visible()
 
 
 def test_stop_is_grey_at_rest_red_in_motion_and_struck_out_without_a_rig(serve: Serve):

@@ -53,6 +53,7 @@ def test_the_verdict_is_read_in_a_narrow_window_and_a_wide_one_has_all_again(ser
     page = serve_anew(fake.FakeSession(operator.judged(operator.PASS)))
     page.set_viewport_size({"width": 390, "height": 844})
     expect(page.locator(".wv-verdict")).to_be_in_viewport()
+    expect(page.locator(".wv-verdict .wv-sim")).to_be_visible()
     page.set_viewport_size({"width": 1366, "height": 768})
     expect(page.locator(".wv-nav")).to_be_visible()
     title_is(page, "Coupon 6 mm")

@@ -61,7 +61,7 @@ from wafer_viewer.gui.tools.tool_palette import icon_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, Group, add_html, with_precondition
-from wafer_viewer.gui.widgets.html import with_micro_sign
+from wafer_viewer.gui.widgets.html import typeset
 from wafer_viewer.model.glossary import Subject, terms_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.files.documentation import FIRST_PAGE, site_folder
@@ -391,7 +391,8 @@ def shortcut_table(commands: Sequence[Command]) -> Markup:
 def documentation_link() -> Markup:
     """Return the link to the documentation on the page's own server, or how to get it."""
     if site_folder() is None:
-        return Markup("<p>The documentation is not built: <code>wafer-viewer docs --build</code> in a checkout.</p>")
+        how = '<p class="wv-docs">The documentation is not built: <code>{}</code> in a checkout.</p>'
+        return Markup(how).format("wafer-viewer docs --build")
     link = Markup('<a class="wv-docs" href="{}{}" target="_blank" rel="noopener">Open the documentation</a>')
     return link.format(DOCUMENTATION, FIRST_PAGE)
 
@@ -539,7 +540,7 @@ def carry_out(page: Page, command: Command) -> None:
     if why is None:
         command.act()
     else:
-        page.say(command.name.removesuffix("…"), f"Not now: {with_micro_sign(why)}", "attention")
+        page.say(command.name.removesuffix("…"), f"Not now: {typeset(why)}", "attention")
 
 
 def _name(command: Command) -> Name:

@@ -29,6 +29,7 @@ _SPOKEN = {
     "home": "Home",
     "enter": "Enter",
     "backspace": "Backspace",
+    "delete": "Delete",
 }
 _MODIFIERS = {"cmd/ctrl": "Ctrl", "shift": "Shift", "alt": "Alt"}
 
