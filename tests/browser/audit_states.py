@@ -310,7 +310,7 @@ GROUPS = {
             State("calibrating", shows(calibrated.running, "Gauge check"), ".wv-calibrating"),
             State("result", shows(_waits, "Gauge check"), button("Keep…")),
             State("keep", press("Keep…"), DIALOG),
-            State("another waits", click("[data-pick=calibration-kind][data-k=pixel]"), ":text('A result waits')"),
+            State("another waits", click("[data-pick=calibration-kind][data-k=pixel]"), ":text('A result is waiting')"),
             State(
                 "by checks",
                 then(

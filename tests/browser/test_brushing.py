@@ -69,7 +69,7 @@ def test_brushed_heights_light_up_and_are_told(looking: tuple[Page, MeasuringSes
     expect(lit).to_have_count(0)
 
     drag(page, page.locator(".wv-brush"), (LOW, 0.5), (1.0, 0.5))
-    press(page, "Keep only these")
+    press(page, "Show only these")
     n_clipped = int(np.isfinite(z).sum()) - brushed.size
     expect(page.locator(".wv-points")).to_contain_text(f"{amount(n_clipped)} clipped")
 

@@ -53,7 +53,7 @@ def test_files_are_shown_with_their_sources_before_they_are_imported(
     expect(importer).to_have_text("Import with the gap")
     assert all(name != "import_images" for name, _, _ in session.asked), "nothing is imported before the button"
 
-    dialog.get_by_text("There is no gap").click()
+    dialog.get_by_text("No frame is missing").click()
     expect(importer).to_have_text("Import as listed")
     importer.click()
     eventually(lambda: any(name == "import_images" for name, _, _ in session.asked), "the import begins")
@@ -68,7 +68,7 @@ def test_a_look_is_stopped_when_the_dialog_is_closed_and_the_page_answers_meanwh
     page = serve(session)
     press(page, "Import…")
     type_into(page, "Path", str(stack))
-    expect(page.get_by_role("dialog")).to_contain_text("Looking at the files…")
+    expect(page.get_by_role("dialog")).to_contain_text("Reading the files …")
     press(page, "Cancel")
     eventually(lambda: len(session.exchange.stopped) == len(session.exchange.looked) > 0, "each look is stopped", 20)
 
@@ -147,7 +147,7 @@ def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(
     dialog.get_by_text("Mirror x").click()
     expect(dialog.locator("code")).to_contain_text("--columns 3 --mirror x -o grid.wafer")
     type_into(page, "Columns", "0.2")
-    expect(dialog).to_contain_text("Not looked at")
+    expect(dialog).to_contain_text("Not read")
     expect(dialog).to_contain_text("The number of columns is 0: it must be")
 
 

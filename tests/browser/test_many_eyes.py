@@ -50,7 +50,7 @@ def test_one_browser_holds_the_controls_and_passes_them_on(serve: Serve, look_at
         expect(anna.get_by_role("button", name=name, exact=True)).to_be_enabled()
     expect(text_field(ben, "Lot")).to_be_disabled()
 
-    ben.get_by_role("button", name="Ask for them").click()
+    ben.get_by_role("button", name="Ask for control").click()
     put(ben, text_field(ben, "Your name"), "Ben")
     press(ben, "Ask for control")
     question = anna.get_by_role("alertdialog", name="Ben asks for the controls")
@@ -58,7 +58,7 @@ def test_one_browser_holds_the_controls_and_passes_them_on(serve: Serve, look_at
     expect(ben.locator(".mantine-Notification-root", has_text="keeps the controls")).to_be_visible()
     expect(question).to_have_count(0)
 
-    ben.get_by_role("button", name="Ask for them").click()
+    ben.get_by_role("button", name="Ask for control").click()
     question.get_by_role("button", name="Hand over").click()
     holder(ben)
     expect(ben.get_by_role("button", name="Start scan")).to_be_enabled()

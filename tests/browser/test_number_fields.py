@@ -175,7 +175,7 @@ def test_half_a_number_is_not_judged_and_tab_takes_it(serve: Callable[[GaugeSess
     put(page, limit, "0")
     expect(notes(page)).to_have_count(1)
     put(page, limit, "-3")
-    expect(notes(page)).to_contain_text("is -3")
+    expect(notes(page)).to_contain_text("is −3")
     expect(notes(page)).to_have_count(1)
     put(page, limit, "0.6")
     expect(notes(page)).to_have_count(0)

@@ -134,6 +134,6 @@ def test_a_surface_that_was_not_inspected_says_what_to_do(serve: Callable[..., P
     session.change(inspection=type(session.snapshot.inspection)())
     page = serve(session)
     page.keyboard.press("Shift+R")
-    expect(page.get_by_text("Nothing was inspected yet:")).to_be_visible()
+    expect(page.get_by_text("Not inspected yet:")).to_be_visible()
     page.get_by_role("button", name="Inspect", exact=True).click()
     eventually(lambda: any(verb == "defects.inspect" for verb, _, _ in session.asked), "it is searched")

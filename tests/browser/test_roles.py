@@ -46,7 +46,7 @@ def sign_in(page: Page, name: str, password: str) -> None:
 def test_an_operator_runs_released_jobs_and_an_engineer_changes_plans(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready", WORK_S)
     strip = page.locator("[data-dock-region=right] .wv-note.busy")
-    expect(strip).to_contain_text("Nobody is signed in here.")
+    expect(strip).to_contain_text("Nobody is signed in on this browser.")
     for name in ("Plan a scan", "Open…", "Save plan…"):
         expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
     sign_in(page, "Olga", "not her password")
@@ -71,7 +71,7 @@ def test_an_operator_runs_released_jobs_and_an_engineer_changes_plans(page: Page
     page.get_by_role("button", name="Show everything", exact=True).click()
     expect(page.get_by_role("button", name="Save plan…", exact=True)).to_be_disabled()
     page.get_by_role("button", name="Sign out", exact=True).click()
-    expect(strip).to_contain_text("Nobody is signed in here.")
+    expect(strip).to_contain_text("Nobody is signed in on this browser.")
     sign_in(page, "Ann", ANN)
     expect(strip).to_have_count(0)
     expect(page.get_by_role("button", name="Save plan…", exact=True)).to_be_enabled()

@@ -32,4 +32,4 @@ def test_older_entries_are_counted() -> None:
 
 
 def test_an_empty_log_says_what_comes_first() -> None:
-    assert "Nothing was recorded yet" in audit_table([], NOW)
+    assert "Nothing is recorded yet" in audit_table([], NOW)

@@ -56,7 +56,7 @@ def test_a_result_stands_beside_the_value_before_and_names_what_differs_by_more_
     beyond = words.waiting(made_up.pending(drift=1.6).pending, STATE, "delay")
     assert "Trigger delay +7.5 µs" in beyond
     elsewhere = words.waiting(made_up.pending().pending, STATE, "pixel")
-    assert "A result waits" in elsewhere
+    assert "A result is waiting" in elsewhere
     for_information = words.waiting(made_up.pending("noise").pending, STATE, "noise")
     assert "the next scans do not use it" in for_information
 

@@ -89,7 +89,7 @@ def test_a_drive_shows_its_goal_with_distances_and_time():
     now = live_session().snapshot
     going = replace(now, live=replace(now.live, goal_um=(HERE.x_um + 94.6, HERE.y_um + 75.6), goal_s=0.4))
     shown = words_over(going, a_frame(), SIZE, 0.0)
-    assert "Driving there · 0:01" in shown
+    assert "Moving there · 0:01" in shown
     assert "Δx +94.6" in shown
     assert "<line" in shown
     far = replace(now, live=replace(now.live, goal_um=(9_000.0, 0.0)))

@@ -183,9 +183,9 @@ def test_heights_are_brushed_by_a_drag_or_typed():
 
 def test_brushed_heights_are_kept_as_points_or_measured():
     here = surface(View(step="surface", brush_um=(2.0, 5.0)))
-    assert "Keep only these" not in shown(here)  # not counted yet
+    assert "Show only these" not in shown(here)  # not counted yet
     here.page.statistics = replace_statistics(brushed=Brushed(12, 0.1, 3.0, 0.5, 1, ((0.0, 0.0, 10.0, 20.0),)))
-    keep = shown(here)["Keep only these"]
+    keep = shown(here)["Show only these"]
     shown(here)["Measure the place"].act()
     assert (here.page.view.tool, here.page.view.places[0].bounds_um) == ("volume", (-5.0, -10.0, 15.0, 30.0))
     keep.act()

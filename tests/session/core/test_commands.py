@@ -16,7 +16,7 @@ from wafer_viewer.session.session import Session
 from wafer_viewer.session.state.snapshot import Browser, ControlState, Snapshot
 
 ANNA, BEN = Browser("a", "Anna"), Browser("b", "Ben")
-REFUSED = r"^Anna holds the controls\. Ask for them first: you are only watching\.$"
+REFUSED = r"^Anna holds the controls\. Ask for control first: you are only watching\.$"
 
 
 class Counter:

@@ -163,7 +163,7 @@ def test_a_requester_that_disconnects_gets_no_control(control, state, clock):
 
 
 def test_only_the_holder_can_hand_over_control(control, state):
-    with pytest.raises(WaferViewerError, match="Ask for them first"):
+    with pytest.raises(WaferViewerError, match="Ask for control first"):
         control.hand_over("b", "b").result()
     with pytest.raises(WaferViewerError, match="has disconnected"):
         control.hand_over("a", "z").result()

@@ -66,7 +66,7 @@ def bench(path):
 
 
 def test_the_open_dataset_is_held_and_freed_with_name_and_reason(bench, path):
-    assert "frames kept for ever" in frames_card(bench.now)
+    assert "frames kept permanently" in frames_card(bench.now)
     bench.held_by("a")
     with pytest.raises(DatasetError, match="needs a reason"):
         bench.hold_frames(" ").result()

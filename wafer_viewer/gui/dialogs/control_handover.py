@@ -103,7 +103,7 @@ def sign_in_dialog(page: Page) -> None:
     """Open the dialog in which a listed person signs in at this browser."""
 
     def contents(here: Dialog[_SignIn]) -> Elements:
-        password_hint = "Of a person who is listed, not that of the page"
+        password_hint = "Password of the listed person, not of the page"
         return [
             Text("Your name", here.own.name, partial(here.put, "name"), NAME_HINT),
             Html(_MASKED, padded=False),
@@ -118,13 +118,13 @@ def sign_in_dialog(page: Page) -> None:
             page.ask(NOT_HANDED_OVER, page.session.control.ask(key))
 
     below = "Operators run released jobs; engineers may do everything. The audit log names who was signed in."
-    answer = Confirm("Sign in", viser.Icon.LOGIN, done, "Nobody was signed in", commands=False)
+    answer = Confirm("Sign in", viser.Icon.LOGIN, done, "Sign-in failed", commands=False)
     Dialog(page, "Sign in", below, answer, _SignIn(), contents)
 
 
 def sign_out(page: Page) -> None:
     """Sign out the person at this browser."""
-    page.ask("Nobody was signed out", page.session.control.sign_out(page.browser.key))
+    page.ask("Sign-out failed", page.session.control.sign_out(page.browser.key))
 
 
 def control_dialog(page: Page) -> None:
@@ -151,7 +151,7 @@ def control_dialog(page: Page) -> None:
         here.close()
         (sign_in_dialog if way == "in" else sign_out)(page)
 
-    below = "One holds the controls; all may look, measure and stop all motion."
+    below = "One browser holds the controls; all may look, measure and stop all motion."
     if holds:
         answer = Confirm("Done", viser.Icon.CHECK, done, "The name was not changed", commands=False)
     else:
@@ -208,7 +208,10 @@ def _strip(control: ControlState, key: str) -> Markup:
     if control.role_of(key) is None:
         link = html.link("Sign in…", "sign-in")
         told = "Sign in to use the controls. Without that you may look, measure and stop all motion."
-        return html.note("busy", "Nobody is signed in here.", told, link, html.icon(viser.Icon.USER, 18)) + _WATCHING
+        return (
+            html.note("busy", "Nobody is signed in on this browser.", told, link, html.icon(viser.Icon.USER, 18))
+            + _WATCHING
+        )
     link = html.link("Sign out", "sign-out")
     title = f"{control.name_of(key)} is signed in as operator."
     changed = "changes plans, jobs, recipes, calibrations and verdicts"
@@ -223,7 +226,7 @@ def _watching(control: ControlState, key: str) -> Markup:
             control.name_of(control.holder), control.answer_s
         )
     else:
-        verb = "Ask for them" if control.holder else "Take them"
+        verb = "Ask for control" if control.holder else "Take control"
         end = html.link(verb, "hands-ask")
     sign = html.icon(viser.Icon.EYE, 18)
     return html.note("busy", control.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
@@ -238,7 +241,7 @@ def _question(control: ControlState) -> Markup:
     return Markup(
         '<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
         "<b>{name} asks for the controls</b>"
-        "<span>Without an answer they pass in {answer_s:.0f} s. A running scan continues.</span>"
+        "<span>Without an answer control passes in {answer_s:.0f} s. A running scan continues.</span>"
         '<div><span class="wv-yes" {over}>Hand over</span><span class="wv-no" {stay}>Keep</span></div>'
         '<i style="animation:wv-drain {answer_s:g}s linear -{gone_s:.1f}s both"></i></div>'
     ).format(name=name, answer_s=control.answer_s, over=over, stay=stay, gone_s=gone_s)

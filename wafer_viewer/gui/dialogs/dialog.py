@@ -107,7 +107,7 @@ class Dialog(Here[C]):
                 return
             self.snapshot, self.view = snapshot, view
             below = Markup('<div class="wv-sub">{}</div>').format(self._below) if self._below else Markup()
-            fault = Markup('<div class="wv-note fault">{}</div>').format(html.with_micro_sign(self._problem))
+            fault = Markup('<div class="wv-note fault">{}</div>').format(html.typeset(self._problem))
             leave = Button(self._answer.away if self._answer else "Close", self.close)
             if self._answer is None:
                 foot = Buttons([leave], 36, answers=True)

@@ -115,7 +115,7 @@ class FileDialog(Dialog[C]):
         hint = "On the machine that runs the viewer; Tab completes it"
         path = Text("Path", self.text, self._typed, hint)
         if self._saving:
-            path = Text("File name", self.text, self._typed, "A folder before it leads there")
+            path = Text("File name", self.text, self._typed, "May begin with a folder")
         lists = Html(self._places), Html(self._list, padded=False), Html(self._looks, padded=False)
         return [*lists, _FIELD_MARK, path, Html(self._status)]
 
@@ -429,7 +429,7 @@ def _list(listing: Listing, listing_id: int, order: Order, kind: FileKind, rows:
     now = datetime.now().astimezone()
     lines = Markup("").join(_row(n, entry, now) for n, entry in enumerate(listing.entries))
     if not lines:
-        lines = html.empty("No such file here." if listing.n_hidden else "Nothing here.")
+        lines = html.empty("No file of this kind here." if listing.n_hidden else "This folder is empty.")
     several = Markup(' data-several="1" aria-multiselectable="true"') if kind.several else Markup()
     sign = Markup('<i hidden data-arrived="files"></i>')
     return Markup(

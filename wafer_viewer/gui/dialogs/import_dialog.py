@@ -314,11 +314,11 @@ def _sub(text: str, more: str = "") -> Markup:
 def _progress(snapshot: Snapshot, work_id: str) -> Markup:
     """Return the bar of a look."""
     fraction = next((work.fraction for work in snapshot.works if work.id == work_id), None)
-    return Markup('<div class="wv-imp-progress">{}<span>Looking at the files…</span></div>').format(html.bar(fraction))
+    return Markup('<div class="wv-imp-progress">{}<span>Reading the files …</span></div>').format(html.bar(fraction))
 
 
 def _problem(text: str) -> Markup:
     if not text:
         return Markup()
     sign = html.icon(viser.Icon.ALERT_TRIANGLE, 17)
-    return html.note("attention", "Not looked at", words.reason(text), Markup(), sign)
+    return html.note("attention", "Not read", words.reason(text), Markup(), sign)

@@ -40,14 +40,14 @@ def audit_dialog(page: Page) -> None:
         shown = audit_table(page.session.recorded_actions(), datetime.now().astimezone())
     except WaferViewerError as fault:
         shown = Markup('<div class="wv-note fault">{}</div>').format(fault)
-    below = "What changed something in this folder, signed entry by entry."
+    below = "Every change to this folder. Each entry is signed."
     Dialog(page, "Audit log", below, None, contents=lambda _: [Html(shown)])
 
 
 def audit_table(entries: Sequence[AuditEntry], now: datetime) -> Markup:
     """Return the newest entries as a table, the newest first."""
     if not entries:
-        return html.empty("Nothing was recorded yet: a scan, a release or a kept result is the first entry.")
+        return html.empty("Nothing is recorded yet. A scan, a release or a kept result makes the first entry.")
     rows = [_row(entry, now) for entry in reversed(entries[-SHOWN:])]
     more = len(entries) - len(rows)
     rest = html.empty(f"{more} earlier entries: wafer-viewer log FOLDER lists them.") if more else Markup()
@@ -68,7 +68,7 @@ ICON = viser.Icon
 SHOW_SURFACE = dict[str, Any](step="surface", show=0, range_um=None, selected=None, frame_k=None)
 """Changes of the view that show the surface of another dataset."""
 NOT_EXPORTED = "Export failed"
-FORMAT_HINT = "The ending of the file follows"
+FORMAT_HINT = "The file's extension follows"
 WRITTEN_TITLES = {kind.title: kind.suffixes[0] for kind in FORMATS if kind.writer is not None}
 """Formats of the export dialog: suffixes by title."""
 SCENE_ENDING = ".ome.zarr"
@@ -195,7 +195,7 @@ def export_dialog(page: Page) -> None:
         return [
             *here.files(),
             Dropdown("Format", own.format, partial(take, here), FORMAT_HINT, options=tuple(WRITTEN_TITLES)),
-            Number("One pixel in", own.every, lambda n: here.keep(every=int(n)), density, least=1),
+            Number("Every n-th pixel", own.every, lambda n: here.keep(every=int(n)), density, least=1),
             Html(_description(own.ending, own.every, size)),
         ]
 
@@ -227,7 +227,7 @@ def _description(ending: str, every: int, size: tuple[int, int, float] | None) -
         rows, cols = (-(-n // every) for n in size[:2])
         pixel_um = number(size[2] * every, 3)
         written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
-    loses = BY_SUFFIX[ending].loses or "The file holds all there is of the surface."
+    loses = BY_SUFFIX[ending].loses or "The file contains the whole surface."
     return html.remark(written + loses, "margin-bottom:9px")
 
 

@@ -22,7 +22,7 @@ from wafer_viewer.gui.state.view_state import BrowserIdentity, ColourBy, Remembe
 from wafer_viewer.gui.widgets.ask import Ask
 from wafer_viewer.gui.widgets.callbacks import Debouncer, guarded, tell_failure
 from wafer_viewer.gui.widgets.controls import add_html
-from wafer_viewer.gui.widgets.html import Tone, icon, link, note, read_picks, with_micro_sign
+from wafer_viewer.gui.widgets.html import Tone, icon, link, note, read_picks, typeset
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.roles import role_for
 from wafer_viewer.model.surface.clipping import Box
@@ -225,7 +225,7 @@ class Page:
 
     def say(self, title: str, text: str, tone: Tone = "good") -> None:
         """Show a notification that closes by itself."""
-        self.client.add_notification(title, text, auto_close_seconds=6.0, color=RGB_OF_TONE[tone])
+        self.client.add_notification(title, typeset(text), auto_close_seconds=6.0, color=RGB_OF_TONE[tone])
 
     def dismiss(self, fault_id: str) -> None:
         """Dismiss a note of this page or of the session."""
@@ -254,7 +254,7 @@ class Page:
     def _notify(self, fault: Fault) -> None:
         self._notifications[fault.id] = self.client.add_notification(
             fault.title,
-            with_micro_sign(fault.text),
+            typeset(fault.text),
             auto_close_seconds=None if fault.needs_person else 8.0,
             color=RGB_OF_TONE["fault" if fault.needs_person else "attention"],
         )

@@ -49,7 +49,7 @@ def verdict_card(check: GaugeCheck) -> Markup:
     word, sign, tone = LOOKS[check.verdict]
     simulated = Markup('<em class="wv-sim">SIMULATED</em>') if check.simulated else Markup()
     size = Markup(' class="long"') if len(word) > 6 else Markup()
-    reason = html.with_micro_sign(check.why).replace(" µm", _MICRO)
+    reason = html.typeset(check.why).replace(" µm", _MICRO)
     why = Markup('<p class="wv-gauge-why">{}</p>').format(reason)
     return Markup(
         '<div class="wv-verdict wv-gauge {tone}" role="status" aria-label="Verdict">'
@@ -76,7 +76,7 @@ def result(check: GaugeCheck) -> Markup:
         _line(measured, check.height, digits),
         _line("Error", check.deviation, digits, signed=True, look="strong"),
     ]
-    en = Markup('<div class="wv-lab">{}</div>').format(html.with_micro_sign(check.en_why)) if check.en_why else Markup()
+    en = Markup('<div class="wv-lab">{}</div>').format(html.typeset(check.en_why)) if check.en_why else Markup()
     return html.head("Result", "U covers 95 %") + html.table(["", "Step, µm", "U, µm"], rows, " nn") + en
 
 
@@ -238,7 +238,7 @@ def not_evaluated(check: GaugeCheck) -> Markup:
     """Return the list of contributions that U does not contain; empty if there are none."""
     if not check.not_evaluated:
         return Markup()
-    items = Markup("").join(Markup("<li>{}</li>").format(html.with_micro_sign(item)) for item in check.not_evaluated)
+    items = Markup("").join(Markup("<li>{}</li>").format(html.typeset(item)) for item in check.not_evaluated)
     return html.head("Not evaluated") + Markup('<ul class="wv-left-out">{}</ul>').format(items)
 
 
@@ -251,7 +251,7 @@ def capability(result: Capability | None) -> Markup:
         word = "" if result.capable is None else " · capable" if result.capable else " · not capable"
         pairs.append(("Cg · Cgk", f"{number(result.cg, 2)} · {number(result.cgk, 2)}{word}"))
     words = " ".join(part for part in (result.why, result.variant) if part)
-    below = html.remark(html.with_micro_sign(words))
+    below = html.remark(html.typeset(words))
     return html.head("Capability", "both 1.33 or more, over 25 scans") + html.pairs(pairs) + below
 
 
@@ -277,4 +277,4 @@ def _part(role: Role, lines: Sequence[GaugeLine]) -> list[Markup]:
 
 def _name(name: str) -> Markup:
     titled = name if name.startswith("z ") else name[:1].upper() + name[1:]
-    return Markup('<span class="wv-under">{}</span>').format(html.with_micro_sign(titled))
+    return Markup('<span class="wv-under">{}</span>').format(html.typeset(titled))

@@ -64,7 +64,7 @@ def page_words(text: str) -> str:
     for pattern, words in _PHRASES:
         text = re.sub(pattern, words, text)
     text = re.sub(r"--[\w-]+", lambda flag: LABELS.get(flag[0], flag[0]), text)
-    return html.with_micro_sign(text)
+    return html.typeset(text)
 
 
 def reason(text: str) -> str:
@@ -134,9 +134,9 @@ def frames_html(contents: FileContents, thumbnails: Mapping[int, bytes]) -> Mark
     images = next((fact.value for fact in contents.facts if fact.name == "images"), "")
     n = len(frames) - contents.n_missing
     part = f" · {len(thumbnails)} of {n} shown" if len(thumbnails) < n else ""
-    return html.head(
-        f"{kind.capitalize()}s", html.with_micro_sign(images).replace(" x ", " × ") + part, first=True
-    ) + Markup('<div class="wv-imp-strip">{}</div>').format(pictures)
+    return html.head(f"{kind.capitalize()}s", html.typeset(images).replace(" x ", " × ") + part, first=True) + Markup(
+        '<div class="wv-imp-strip">{}</div>'
+    ).format(pictures)
 
 
 def _picture(frames: Sequence[FrameFact], k: int, jpeg: bytes, kind: str) -> Markup:
@@ -161,7 +161,7 @@ def order_html(contents: FileContents) -> Markup:
     """Return the plot of sharpness over z, and a sentence on the order that it supports."""
     if not any(frame.sharpness for frame in contents.frames):
         return Markup()
-    head = html.head("Does the order hold?", "sharpness at five places of the frame, each of its largest")
+    head = html.head("Does the order hold?", "sharpness at five places, relative to its maximum")
     return head + sharpness_plot_html(contents.frames, CHART_PX) + _support(contents)
 
 
@@ -192,7 +192,7 @@ def _support(contents: FileContents) -> Markup:
     if len(contents.frames) - contents.n_missing < FEWEST_FRAMES:
         return html.note("busy", "Too few frames to test the order.", "It is taken from the files.")
     if single >= every - 1:
-        text = f"{single} of {every} places grow sharp once and blur again. {ends}"
+        text = f"{single} of {every} places come into focus once. {ends}"
         return html.note("good", "The pictures support this order.", text, sign=html.icon(viser.Icon.CHECK, 17))
     text = f"{single} of {every} places have one peak; no other order has more. {ends}"
     return html.note("busy", "The pictures do not decide the order.", text, sign=html.icon(viser.Icon.INFO_CIRCLE, 17))
@@ -215,10 +215,10 @@ def _doubts(contents: FileContents, options: ImageOptions) -> Iterator[Markup]:
             foot = _toggle("as-listed", "The present order is right")
         elif "given as" in doubt:
             foot = _toggle("overrule", "Take the typed values")
-        yield html.note("fault" if disputed else "attention", "To settle", reason(doubt), foot, sign)
+        yield html.note("fault" if disputed else "attention", "Contradictions", reason(doubt), foot, sign)
     if options.overrule:
         back = _toggle("overrule", "Take those of the files")
-        yield html.note("attention", "Typed values are taken where the files state others.", "", back, sign)
+        yield html.note("attention", "Typed values replace those in the files.", "", back, sign)
 
 
 def notes_html(contents: FileContents) -> Markup:
@@ -234,7 +234,7 @@ def _gap(contents: FileContents) -> Markup:
     where = f" at {', '.join(zs[:4])}{' …' if len(zs) > 4 else ''}" if zs else ""
     what = "1 frame is missing" if contents.n_missing == 1 else f"{contents.n_missing} frames are missing"
     text = "Heights beside it are less certain; the frames above keep their z."
-    no_gap = _toggle("as-listed", "There is no gap: number the frames anew")
+    no_gap = _toggle("as-listed", "No frame is missing: renumber them")
     return html.note("attention", f"{what}{where}.", text, no_gap, html.icon(_SIGN, 17))
 
 
@@ -261,7 +261,7 @@ def source_html(contents: FileContents | None, name: str, label: str, typed: boo
     if fact is None or not fact.value:
         return _source(label, "not in the files", "attention" if open_ else "")
     if open_:
-        both = f"{html.with_micro_sign(fact.value)}: {fact.source.replace('given', 'typed')}"
+        both = f"{html.typeset(fact.value)}: {fact.source.replace('given', 'typed')}"
         return _source(label, both, "fault")
     return _source(label, fact.source, "", fact.value.split()[0])
 
@@ -289,7 +289,7 @@ def facts_html(contents: FileContents | None) -> Markup:
 
 def _fact(fact: Fact) -> Markup:
     tone = "attention" if fact.name == "missing frames" or fact.value == "simulated" else ""
-    value = re.sub(r"(?<!\w)-(?=\d)", MINUS, html.with_micro_sign(fact.value).replace(" x ", " × "))
+    value = re.sub(r"(?<!\w)-(?=\d)", MINUS, html.typeset(fact.value).replace(" x ", " × "))
     source = Markup("<small>{}</small>").format(fact.source) if fact.source else Markup()
     return Markup('<div><span>{}</span><span class="{}">{}{}</span></div>').format(
         fact.name[:1].upper() + fact.name[1:], tone, value, source
@@ -304,7 +304,7 @@ def place_html(contents: FileContents | None) -> Markup:
     if contents is None or contents.kind != "images":
         return Markup()
     if contents.field_um is None:
-        return html.empty("Waits for the size of a pixel.")
+        return html.empty("Drawn as soon as the pixel size is known.")
     width_um, height_um = contents.field_um
     xs, ys = zip(*contents.places_um, strict=True)
     across_um, down_um = max(xs) - min(xs) + width_um, max(ys) - min(ys) + height_um

@@ -346,7 +346,7 @@ def head(
     lines = Markup("").join(_line(place, own.get(place), place == active) for place in range(n_lines))
     seconds = Markup("").join(_second(s) for s in sections if s.asked.is_second)
     notes = Markup("").join(
-        Markup('<span class="wv-curve-note">{}</span>').format(html.with_micro_sign(text)) for text in problems
+        Markup('<span class="wv-curve-note">{}</span>').format(html.typeset(text)) for text in problems
     )
     waits = Markup('<span class="dim">{}</span>').format(WAITS) if not sections and not problems else Markup()
     zoom_out = html.link("Whole line", "plot", "whole") if zoomed else Markup()

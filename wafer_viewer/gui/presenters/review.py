@@ -18,6 +18,7 @@ from wafer_viewer.gui.presenters.measurement import list_text, main_label, sign_
 from wafer_viewer.gui.presenters.results import Box, bounds_of
 from wafer_viewer.gui.presenters.verdict import LOOKS, feature_summary
 from wafer_viewer.gui.state.view_state import OF_DEFECT, DefectListing, ReviewFilter, View, listed
+from wafer_viewer.gui.widgets.html import typeset
 from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
@@ -232,7 +233,7 @@ def _size_text(defect: Defect) -> str:
 
 def _below(defect: Defect) -> str:
     """Describe die, position and proposed class of a defect."""
-    where = f"Die {defect.die}" if defect.die else "Outside of the dies"
+    where = typeset(f"Die {defect.die}") if defect.die else "Outside of the dies"
     place = f"x {number(defect.center.x_um, 1)}, y {with_unit(defect.center.y_um, 1)}"
     proposed = f"proposed: {DEFECT_CLASSES[defect.kind].title.lower()}"
     by = proposed if defect.judged_kind is not None else f"proposed with {number(defect.confidence, 2)}"

@@ -49,7 +49,7 @@ def card(verdict: WaferVerdict) -> Markup:
         word=word,
         wafer=wafer,
         simulated=simulated,
-        next=html.with_micro_sign(verdict.next),
+        next=html.typeset(verdict.next),
     )
 
 
@@ -126,7 +126,7 @@ def _on_dies(verdict: WaferVerdict) -> Iterator[Markup]:
 
 def _row(item: FeatureVerdict) -> Markup:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
-    why = Markup() if item.word == "pass" else Markup("<small>{}</small>").format(html.with_micro_sign(item.why))
+    why = Markup() if item.word == "pass" else Markup("<small>{}</small>").format(html.typeset(item.why))
     shown = Markup(
         '<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{icon}</span>'
     ).format(tone=tone, word=word, icon=html.icon(sign, 17))

@@ -301,7 +301,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     curves.on_change(lambda: profiles.show(page.session.snapshot, page.view))
     sheet = StepOverlay(page, partial(sheet_over, review_sheet), SheetState(review, Thumbnails(page)), SHEET_PICKS)
     page.viewport.on_change(page.redraw)
-    why = StepPanel(page, evidence_step, Explained(), "The explanation was not changed", EVIDENCE_PICKS)
+    why = StepPanel(page, evidence_step, Explained(), "The explanation was not updated", EVIDENCE_PICKS)
     ear.left = left.panel
     clicked = StepOverlay(page, read_out, Clicked())
     parts: list[PagePart] = [

@@ -263,7 +263,7 @@ def calibration(snapshot: Snapshot, view: View, today: datetime.date) -> Words:
 def calibration_due(made: Calibration | None, today: datetime.date) -> Words:
     """Return the days until a calibration is due."""
     if made is None:
-        return "No calibration", "fault", "Lengths read 'uncalibrated': no U, no verdict."
+        return "No calibration", "fault", "Lengths are uncalibrated: no U, no verdict."
     if made.simulated:
         return "Calibrated by simulation", "", "Pixel size and scales are the simulation's: nothing real is measured."
     days = (datetime.date.fromisoformat(made.due) - today).days
@@ -331,7 +331,7 @@ def _days(days: int) -> str:
 
 def _item(words: str, tone: str, more: str) -> Markup:
     tip = f"{words}. {more}" if more else words
-    return Markup('<span class="{}" title="{}">{}</span>').format(tone, html.with_micro_sign(tip), words)
+    return Markup('<span class="{}" title="{}">{}</span>').format(tone, html.typeset(tip), words)
 
 
 def _controls(control: ControlState, key: str) -> Markup:

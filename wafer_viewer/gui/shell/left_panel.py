@@ -292,11 +292,11 @@ def _swatch(ink: FieldStyle) -> Markup:
 def _hint(snapshot: Snapshot, view: View) -> Markup:
     if view.on_surface:
         text = (
-            "Click a field to show only that one, again for all."
+            "Click a field to show only that one; click again for all."
             if view.show > 0
             else "Click a field to show only that one."
         )
-        text += " Elsewhere to fly there. The amber frame is in view."
+        text += " Click elsewhere to move the view. The amber frame is in view."
     elif snapshot.scanning:
         return Markup()
     else:
@@ -403,7 +403,7 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
 
 def hold_dialog(page: Page, *, end: bool) -> None:
     """Ask for the reason of a hold of the open dataset, or of its end."""
-    kept = "They are not removed, however old they are, until somebody ends the hold."
+    kept = "They are not removed, whatever their age, until the hold is ended."
     below = "The frames may be removed again once they are old enough." if end else kept
     title, icon = ("End the hold", ICON.LOCK_OPEN) if end else ("Hold the frames", ICON.LOCK)
     verb = page.session.end_hold if end else page.session.hold_frames
@@ -450,7 +450,7 @@ def _dataset_rows(snapshot: Snapshot, words: str) -> Markup:
         )
     found = tuple(entry for entry in snapshot.datasets if entry.matches(words))
     if not found:
-        return html.empty(f"None of {len(snapshot.datasets)} datasets has all of “{words}”.")
+        return html.empty(f"None of {len(snapshot.datasets)} datasets matches “{words}”.")
     opened = snapshot.dataset.path if snapshot.dataset else None
     return dataset_table(found, opened, "open") + Markup('<div style="height:6px"></div>')
 
@@ -461,7 +461,7 @@ def frames_card(snapshot: Snapshot) -> Markup:
     entry = next((one for one in snapshot.datasets if data is not None and one.path == data.path), None)
     if data is None or entry is None or not data.fields or not data.finished:
         return Markup()
-    told, link = entry.frames or "frames kept for ever", Markup()
+    told, link = entry.frames or "frames kept permanently", Markup()
     if data.held:
         told = f"held by {data.held}"
         link = html.command_link("End hold…", "hold-end", action="Hold ended")

@@ -194,9 +194,9 @@ def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
             return Note("Judge a defect", text, label)
         case _:
             if view.step != "report":
-                text = Markup("All of it goes into one file. Press <b>Report</b>.")
+                text = Markup("Everything goes into one file. Press <b>Report</b>.")
                 return Note("Write the report", text, "Report")
-            text = Markup("Results, defects and the wafer map stand in one HTML file. Press <b>Write report</b>.")
+            text = Markup("Results, defects and the wafer map are saved in one HTML file. Press <b>Write report</b>.")
             return Note("Write the report", text, "Write report")
 
 
@@ -232,7 +232,7 @@ def _measure(view: View) -> Note:
 def _inspect(snapshot: Snapshot, view: View) -> Note:
     title, state = "Find the defects", snapshot.inspection
     if view.step != "review":
-        return Note(title, Markup("Every die can be compared with the others. Press <b>Review</b>."), "Review")
+        return Note(title, Markup("Dies are compared with each other. Press <b>Review</b>."), "Review")
     if state.work:
         return Note(title, "The dies are compared with each other …")
     text = Markup(

@@ -139,7 +139,7 @@ def trial_dialog(page: Page) -> None:
 def release_dialog(page: Page) -> None:
     """Open the dialog that releases the plan under a product and a revision; it is then immutable."""
     job, now = required_job(page), page.session.snapshot
-    below = "Operators run it with four actions. It cannot be changed afterwards; a change is a new revision."
+    below = "Operators run it in four steps. It cannot be changed afterwards; a change is a new revision."
 
     def fields(here: Here[_ReleaseForm]) -> Elements:
         before = before_release(now.operating, trial_is_old(now))
@@ -451,7 +451,7 @@ def _feature_inputs(
         return Text(setting.title, getattr(own, name), partial(here.put, name), hint)
 
     quantities = (MAIN, *chosen.quantities) if chosen is not None else (own.quantity,)
-    words = html.with_micro_sign(f"{TOOLS[own.tool].title}; its limits are in {own.unit}.")
+    words = html.typeset(f"{TOOLS[own.tool].title}; its limits are in {own.unit}.")
     return [
         field("name"),
         Dropdown("Measured as", own.source, take, MEASURED_HINT, options=(first, *stored)),
@@ -500,7 +500,7 @@ def _required_places(own: FeatureForm, dies: Dies | None, *, counted: bool) -> t
     steps = Region.rectangle(*ends[0], *ends[1]), Region.rectangle(*ends[2], *ends[3])
     places = steps if own.tool == "step" else own.places
     if not places:
-        raise PlanError("The feature has no place: choose a result that was kept.")
+        raise PlanError("The feature has no regions: choose a kept result.")
     if dies is None or own.per_die == counted:
         return places
     if counted:

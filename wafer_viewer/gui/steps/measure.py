@@ -36,7 +36,7 @@ MEASUREMENT, FACES = "measure", "faces of a step"
 NOT_KEPT, FAILED = "The result was not kept", "The zero of heights was not changed"
 NAME_HINT = "Of the result in lists, exports and reports; empty: the tool's name with a number"
 ZERO_HINT = "Zero of the heights: the stage's, or a plane or form fitted to the surface"
-FIND, LOOKING, NOT_FOUND = "Find the faces", "Looking for the faces …", "The faces were not found"
+FIND, LOOKING, NOT_FOUND = "Find the faces", "Finding the faces …", "The faces were not found"
 LEVELLINGS: dict[str, LevelBy] = {
     "Stage": "stage",
     "Three points": "three points",
@@ -145,7 +145,7 @@ def _faces(here: Here[MeasureState]) -> Elements:
         here.ask(FACES, object(), find, NOT_FOUND)
         page.redraw()
 
-    problem = html.with_micro_sign(found.problem) if not found.computing else ""
+    problem = html.typeset(found.problem) if not found.computing else ""
     title, icon = LOOKING if found.computing else FIND, viser.Icon.SEARCH
     return [
         Button(title, look, icon, "outlined", disabled=found.computing, failed=NOT_FOUND),
@@ -191,7 +191,7 @@ def _result(here: Here[MeasureState], finding: AnyResult | None, chosen: AnyResu
         return words.card(finding, f"{words.symbol(chosen)} · {chosen.name}" if chosen else "Not kept yet")
     if here.view.tool == "none":
         return Markup()
-    return html.empty(html.with_micro_sign(_answer(here).problem) or WAITS)
+    return html.empty(html.typeset(_answer(here).problem) or WAITS)
 
 
 def _levelling(here: Here[MeasureState]) -> Elements:

@@ -299,7 +299,7 @@ def strategies(snapshot: Snapshot, draft: Draft) -> Markup:
     by_hand = "Chosen by hand. " + html.command_link("Use the fastest", "strategy", "auto", "Plan saved")
     chosen = html.remark(by_hand if job.strategy != "auto" else "")
     if plan is None:
-        problem = html.with_micro_sign(draft.problem or "The time of every strategy is being estimated.")
+        problem = html.typeset(draft.problem or "The time of every strategy is being estimated.")
         return html.head("Strategy") + html.empty(problem) + chosen + _GAP
     rate = f" at {number(limits.camera.frame_rate_hz, 0)} frames/s" if limits else ""
     best_s = min((p.predicted_s for p in plan.prices if p.predicted_s), default=0.0)
@@ -341,7 +341,7 @@ def _price_row(price: Price, best_s: float, *, chosen: bool) -> Markup:
         look = f"{'about ' if price.estimated else ''}{duration(price.look_s)} of it coarse look"
         name += Markup("<small>{}</small>").format(look)
     if price.ruled_out is not None or price.predicted_s is None:
-        why = html.with_micro_sign(price.ruled_out or "not estimated")
+        why = html.typeset(price.ruled_out or "not estimated")
         return Markup('<tr class="off"><td colspan="4">{}<small>{}</small></td></tr>').format(name, why)
     ratio = price.predicted_s / best_s if best_s else 1.0
     cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]

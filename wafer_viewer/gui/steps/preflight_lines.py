@@ -36,7 +36,7 @@ def lines(checks: Sequence[PreflightCheck]) -> Markup:
 
 def _line(check: PreflightCheck) -> Markup:
     sign, word = SIGNS[check.state]
-    mend = Markup(" <b>{}</b>").format(html.with_micro_sign(check.mend)) if check.mend else Markup()
+    mend = Markup(" <b>{}</b>").format(html.typeset(check.mend)) if check.mend else Markup()
     return Markup(
         '<div class="{}" role="listitem"><span role="img" aria-label="{}">{}</span><em>{}</em><span>{}{}</span></div>'
-    ).format(check.state, word, html.icon(sign, 17), check.what, html.with_micro_sign(check.found), mend)
+    ).format(check.state, word, html.icon(sign, 17), check.what, html.typeset(check.found), mend)

@@ -191,7 +191,7 @@ def _others(here: Here[Any]) -> dict[str, OtherSurface]:
     def read() -> dict[str, OtherSurface]:
         return {other.title: other for other in here.page.session.sections.others()}
 
-    return here.ask(OTHERS, stamp, read, "The other surfaces were not listed").value or {}
+    return here.ask(OTHERS, stamp, read, "Listing other surfaces failed").value or {}
 
 
 def _send_curves(page: Page, curves: LiveProfiles, ending: str) -> None:

@@ -63,7 +63,7 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
     idle = bool(chosen) and not here.ask.busy(WRITING)
     floppy, sheet = viser.Icon.DEVICE_FLOPPY, viser.Icon.FILE_TEXT
     return [
-        Html(html.title("Report", "One file that stands alone, with everything in it.")),
+        Html(html.title("Report", "One self-contained file.")),
         Html(here.page.notes(here.snapshot)),
         Text("Title", here.own.title, lambda title: here.keep(title=title), TITLE_HINT),
         Text("Number", here.own.number, lambda number: here.keep(number=number), NUMBER_HINT),
@@ -128,7 +128,7 @@ def _section(here: Here[ReportChoices], part: Part, holds: Holds, chosen: bool) 
     look = " none" if holds.nothing else "" if chosen else " off"
     return (
         Checkbox(title, chosen, tick, hint, disabled=holds.nothing),
-        Html(Markup('<div class="wv-part{}">{}</div>').format(look, html.with_micro_sign(holds.words))),
+        Html(Markup('<div class="wv-part{}">{}</div>').format(look, html.typeset(holds.words))),
     )
 
 

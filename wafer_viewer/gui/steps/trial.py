@@ -49,7 +49,7 @@ def _tone(done: Trial) -> html.Tone:
 
 
 def _change(wafer: TriedWafer, change: VerdictChange) -> Markup:
-    why = html.with_micro_sign(" ".join(change.why))
+    why = html.typeset(" ".join(change.why))
     name = Markup("{}, {}<small>{}</small>").format(wafer.wafer_id or wafer.dataset, change.feature, why)
     before = _word(change.before) + (_value(change) if change.measured_before != change.measured_after else "")
     return html.row([name, before, _word(change.after)], "   ")

@@ -68,7 +68,7 @@ def tell_failure(page: ErrorSink, name: str, fault: BaseException) -> None:
         page.say(name, str(fault), "attention")
         return
     if isinstance(fault, MotionStopped):
-        page.say("Stopped", str(fault).replace(" -", " −"), "attention")
+        page.say("Stopped", str(fault), "attention")
         return
     if isinstance(fault, WaferViewerError):
         page.tell(_note(*_headline(name, str(fault))))

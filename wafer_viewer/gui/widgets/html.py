@@ -19,6 +19,7 @@ import viser._gui_handles
 import viser._icons
 from markupsafe import Markup
 
+from wafer_viewer.draw.number_format import MINUS
 from wafer_viewer.model.errors import WaferViewerError, detail, parser_errors_as
 from wafer_viewer.model.roles import Action, role_for
 
@@ -51,9 +52,9 @@ def style_sheet(rules: str) -> Markup:
     return Markup("<style>{}</style>").format(Markup(rules))
 
 
-def with_micro_sign(text: str) -> str:
-    """Return a message with um and us as µm and µs; error messages use ASCII so that any terminal can show them."""
-    return re.sub(r"\bu([ms])\b", r"µ\1", text)
+def typeset(text: str) -> str:
+    """Return a message with µm, µs and true minus signs; messages use ASCII so that any terminal can show them."""
+    return re.sub(r"(?<![^\s(,])-(?=[\d.])", MINUS, re.sub(r"\bu([ms])\b", r"µ\1", text))
 
 
 @functools.cache
@@ -136,7 +137,7 @@ def title_action(text: str, attributes: Markup, title: str = "", possible: bool 
 
 def remark(text: str, style: str = "") -> Markup:
     """Return a line of small grey text; an empty text has none. style: its margins, in CSS."""
-    words = text if isinstance(text, Markup) else with_micro_sign(text)
+    words = text if isinstance(text, Markup) else typeset(text)
     look = Markup(' style="{}"').format(style) if style else Markup()
     return Markup('<div class="wv-lab"{}>{}</div>').format(look, words) if text else Markup()
 
@@ -144,7 +145,7 @@ def remark(text: str, style: str = "") -> Markup:
 def why_not(reason: str | None, look: str = "") -> Markup:
     """Return the line that says why the button below it is not possible now; empty without a reason."""
     line = Markup('<div class="wv-why{}">Not yet: {}</div>')
-    return line.format(look, with_micro_sign(reason)) if reason else Markup()
+    return line.format(look, typeset(reason)) if reason else Markup()
 
 
 def empty(*lines: str) -> Markup:
@@ -204,7 +205,7 @@ def columns(items: Sequence[Markup], widths: str = "") -> Markup:
 
 def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> Markup:
     """Return a permanent note: event, facts, remedy. `foot` and `sign` are HTML."""
-    lines = Markup("<b>{}</b>").format(name) + (Markup("<p>{}</p>").format(with_micro_sign(text)) if text else Markup())
+    lines = Markup("<b>{}</b>").format(name) + (Markup("<p>{}</p>").format(typeset(text)) if text else Markup())
     end = Markup('<p class="wv-foot">{}</p>').format(foot) if foot else Markup()
     return Markup('<div class="wv-note {tone}" role="status">{sign}<div>{lines}{end}</div></div>').format(
         tone=tone, sign=sign, lines=lines, end=end

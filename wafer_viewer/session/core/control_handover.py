@@ -201,7 +201,7 @@ class Control:
 
     def _require_holder(self, key: str) -> None:
         if (why := self._control.why_not(key)) is not None:
-            raise WaferViewerError(f"{why} Ask for them first.")
+            raise WaferViewerError(f"{why} Ask for control first.")
 
     def _put(self, browser: Browser) -> None:
         """Add a browser, or replace its earlier entry."""

@@ -121,7 +121,7 @@ class ControlState:
     def why_only_watching(self, key: str) -> str | None:
         """Return why a browser may give no command that needs control; None if it may."""
         if (why := self.why_not(key)) is not None:
-            return f"{why} Ask for them first: you are only watching."
+            return f"{why} Ask for control first: you are only watching."
         return NOT_SIGNED_IN if self.role_of(key) is None else None
 
     def refusal(self, action: Action) -> str | None:

@@ -88,7 +88,7 @@ def test_the_pictures_stand_at_one_scale_with_outline_section_and_length():
     assert text.count("data:image/jpeg;base64,ZA==") == 1
     assert text.count("<polygon") == 6
     assert text.count("20\u202fµm</text>") == 3
-    for words in ("die -1,0", "median of 9", "+10", "4 of 8"):
+    for words in ("die −1,0", "median of 9", "+10", "4 of 8"):
         assert words in text
 
 
@@ -109,7 +109,7 @@ def test_words_stand_where_there_is_nothing_to_compare_with():
     why = "No earlier scan of wafer <W> with a surface lies in the data folder."
     text, _ = panes.panes_sheet(here_of(answer(HERE, ComparisonView("before", why_not=why))), SMALL)
     assert "wafer &lt;W&gt;" in text
-    assert "Heights over the median of this place." in text
+    assert "Heights above the median of this place." in text
     text, _ = panes.panes_sheet(here_of(None), SMALL)
     assert "This place was not scanned." in text
 

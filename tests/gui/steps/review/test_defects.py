@@ -20,8 +20,17 @@ from wafer_viewer.gui.presenters.review import (
     review_items,
 )
 from wafer_viewer.gui.state.view_state import SORTS, DefectListing, View, listed
-from wafer_viewer.gui.steps.review.defect_form import per_mm2
-from wafer_viewer.gui.steps.review.defect_list import MOST_ROWS, alone, facts, nothing_found, rows, rows_of, summary
+from wafer_viewer.gui.steps.review.defect_form import per_mm2, verdict
+from wafer_viewer.gui.steps.review.defect_list import (
+    MOST_ROWS,
+    alone,
+    facts,
+    nothing_found,
+    rows,
+    rows_of,
+    summary,
+    unknown,
+)
 from wafer_viewer.gui.steps.review.review_step import classes, numbers_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.spec import replace
@@ -49,7 +58,7 @@ def test_defects_are_items_with_their_numbers_place_and_reasons():
     item = item_at(inspected(), "defect 1")
     assert (item.sign, item.title, item.shape) == ("D1", "Particle", "disc")
     assert ("Height from its surroundings", "+14.00", "0.40", "µm") in item.rows
-    assert item.below.startswith("Die -1,0 · x ")
+    assert item.below.startswith("Die −1,0 · x ")
     assert "6 um high" in item.reason
     assert "6 µm high" in numbers_of(item)
 
@@ -113,10 +122,12 @@ def test_thousands_are_shown_a_page_at_a_time_with_the_one_under_review():
 
 
 def test_a_die_that_was_not_inspected_never_looks_clean():
-    text = summary(InspectionState(INSPECTION)) + facts(INSPECTION)
-    assert "Not all of it was inspected" in text
-    assert "1 die not scanned" in text
-    assert "2 dies cut" in text
+    assert "Parts were not inspected" in unknown(INSPECTION)
+    assert "1 die not scanned" in unknown(INSPECTION)
+    assert "2 dies cut" in unknown(INSPECTION)
+    text = summary(InspectionState(INSPECTION)) + verdict(INSPECTION) + facts(INSPECTION)
+    assert "No verdict: parts were not inspected" in text
+    assert "Parts were not inspected" not in text, "it is said once"
     assert "SIMULATED" in text
     assert "7 on 0.61 mm²" in text
     empty = replace(INSPECTION, defects=(), inspected_mm2=0.0)

@@ -132,10 +132,12 @@ def test_the_form_says_which_recipe_it_stands_for():
     assert "Applied automatically" in recipe_origin_text(standard, standard, shelf, False)
     turned = replace(standard, sensitivity=0.9)
     assert "changed, not saved" in recipe_origin_text(standard, turned, shelf, False)
-    assert "As no recipe of LX-7" in recipe_origin_text(DefectRecipe(), replace(turned, name=""), shelf, False)
+    assert "Matches no saved recipe of LX-7" in recipe_origin_text(
+        DefectRecipe(), replace(turned, name=""), shelf, False
+    )
     assert "As the surface was inspected" in recipe_origin_text(turned, turned, shelf, True)
     other = DefectRecipe(product="LX-9")
-    assert "No recipe of LX-9 is kept" in recipe_origin_text(other, other, shelf, False)
+    assert "No recipe is saved for LX-9" in recipe_origin_text(other, other, shelf, False)
     assert "Without a product" in recipe_origin_text(other, DefectRecipe(), shelf, False)
     assert shelf.recipe_of("") is None
     assert unreadable(shelf) == ""
@@ -149,7 +151,7 @@ def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name()
     assert 'data-k="lx7.2"' in table
     assert "version 3, the newest" in table
     assert "1 of other products are not listed" in table
-    assert "No golden die is kept" in golden_table(a_shelf(), "LX-9", "")
+    assert "No golden die is saved" in golden_table(a_shelf(), "LX-9", "")
 
 
 def test_what_is_folded_away_is_told_in_a_line():
@@ -173,7 +175,7 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     assert "so not clean" in beyond
     assert "per mm²," in beyond
     without_dies = replace(INSPECTION, grid=None, dies=(), recipe=DefectRecipe(limits=DefectLimits(max_per_die=9)))
-    assert "No verdict: not all was inspected" in verdict(without_dies)
+    assert "No verdict: parts were not inspected" in verdict(without_dies)
     assert "give the pitch and a corner of the dies" in verdict(without_dies)
     scanned = tuple(replace(die, state="whole", defects=die.defects or 0) for die in INSPECTION.dies)
     loose = DefectLimits(max_per_die=9)

@@ -93,7 +93,7 @@ def below(chart: RunChart | None, serials: str, chosen: str) -> Markup:
         head = Markup('<div class="wv-dock"><b>Run chart</b></div>')
         return Markup('{}<div class="wv-run-empty">{}</div>').format(head, html.empty(_EMPTY))
     warnings = Markup("").join(
-        Markup('<span class="wv-curve-note">{}</span>').format(html.with_micro_sign(text)) for text in chart.warnings
+        Markup('<span class="wv-curve-note">{}</span>').format(html.typeset(text)) for text in chart.warnings
     )
     notes = Markup('<div class="wv-dock">{}</div>').format(warnings) if warnings else Markup()
     drawn = run_chart_html(chart, lambda point: html.pick("gauge-record", point.at), chosen)

@@ -37,8 +37,8 @@ class _Form(Spec, frozen=True, kw_only=True):
     expanded_um: Annotated[Positive | None, Setting("U (k = 2), µm", "Expanded uncertainty of the certified step")] = (
         None
     )
-    nominal_um: Annotated[Positive | None, Setting("Nominal, µm", "What the step is called")] = None
-    laboratory: Annotated[str, Setting("Laboratory", "Who certifies it")] = ""
+    nominal_um: Annotated[Positive | None, Setting("Nominal, µm", "Nominal value of the step")] = None
+    laboratory: Annotated[str, Setting("Laboratory", "Laboratory that issued the certificate")] = ""
     issued: Annotated[str, _day("Issued")] = ""
     expires: Annotated[str, _day("Valid until")] = ""
 
@@ -127,9 +127,9 @@ def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
     now = page.session.snapshot.rig.calibration
     pairs = [
         ("z scale now", number(now.z_scale, 6) if now is not None else "none"),
-        ("z scale then", number(offered.calibration.z_scale, 6)),
+        ("z scale after", number(offered.calibration.z_scale, 6)),
         ("The checked step changes by", with_unit(offered.changes_um, 3, signed=True)),
-        ("Set against then", offered.calibration.against),
+        ("Then set against", offered.calibration.against),
     ]
     same = "These blocks can no longer check this scale, because it was set with them. Use others."
     sign_dialog(

@@ -285,7 +285,7 @@ def _state(here: Here[CheckInputs], problem: str) -> Markup:
     if here.snapshot.surface is None and not gauge.repeats:
         return html.empty(*NO_SURFACE)
     if found.computing:
-        return html.empty("Looking for the two faces.")
+        return html.empty("Finding the two faces.")
     if found.problem and not faces:
         return html.note("attention", NOT_FOUND, found.problem, html.link("Place the regions by hand", "gauge-lay"))
     if faces and problem:

@@ -70,7 +70,7 @@ def study(studied: Studied) -> Markup:
     parts = (
         Markup('<div class="wv-lab" title="{by}">{by}</div>').format(by=by),
         _study_size(found),
-        html.note(*_LOOKS[found.word], html.with_micro_sign(found.why)),
+        html.note(*_LOOKS[found.word], html.typeset(found.why)),
         _table(found, studied.unit),
         _rest(found),
         notes,
@@ -114,7 +114,7 @@ def _rest(study: GaugeRR) -> Markup:
     if study.interaction_p is not None:
         pairs.append(("p of parts with appraisers", number(study.interaction_p, 3)))
     return Markup('<div style="height:4px"></div>{}').format(html.pairs(pairs)) + html.remark(
-        "Shares are of deviations, and do not sum up to 100 %.", "margin-top:4px"
+        "Shares are of standard deviations: they do not add up to 100 %.", "margin-top:4px"
     )
 
 

@@ -163,7 +163,7 @@ def keep(page: Page) -> None:
     """Open the dialog that signs the result; it repeats the values and asks for a name and a reason."""
     if (pending := page.session.snapshot.calibration.pending) is None:
         return
-    below = "It is recorded for good, and the next scans use it. Datasets stay as they are."
+    below = "It is recorded permanently, and the next scans use it. Datasets stay as they are."
     simulated = SIMULATED if pending.simulated else Markup()
     value = in_words(pending.result.characteristics[0])
     sign_dialog(
@@ -206,7 +206,7 @@ def run_dialog(page: Page, kind: CalibrationKind) -> None:
             Html(place(here.snapshot.rig, one.needs)),
             *(field(o.name, option_label(o), o.about, **_limits(o)) for o in one.options),
             field("focus_range_um", "z range, µm", "Range about this z in which the focus is searched, µm", over=0),
-            field("exposure_us", "Exposure, µs", "Of all frames; an empty field has it found", least=least, most=most),
+            field("exposure_us", "Exposure, µs", "For all frames; empty: found automatically", least=least, most=most),
         ]
 
     def begin(here: Dialog[Given]) -> Any:
@@ -240,7 +240,7 @@ def next_due(state: CalibrationState, chosen: CalibrationKind) -> Markup:
     if not due:
         return Markup()
     link = html.link(KINDS[due[0]].title, "calibration-kind", due[0])
-    return Markup('<div class="wv-lab" style="margin-top:6px">Next that is due: {}</div>').format(link)
+    return Markup('<div class="wv-lab" style="margin-top:6px">Next due: {}</div>').format(link)
 
 
 def kinds_list(state: CalibrationState, chosen: CalibrationKind) -> Markup:
@@ -292,7 +292,7 @@ def waiting(pending: PendingCalibration | None, state: CalibrationState, kind: C
     if own == kind:
         return result(pending, state.history(own))
     link = html.link("Show it", "calibration-kind", own)
-    return html.note("attention", "A result waits", f"{KINDS[own].title}: keep or discard it.", link)
+    return html.note("attention", "A result is waiting", f"{KINDS[own].title}: keep or discard it.", link)
 
 
 def result(pending: PendingCalibration, history: CalibrationHistory) -> Markup:
@@ -309,7 +309,7 @@ def in_force(history: CalibrationHistory) -> Markup:
     """Return the values of the newest signed calibration with U, days and signature; a note before the first."""
     record = history.newest
     if record is None:
-        return html.head("Signed value") + html.empty("Not measured yet.", "Its values with U will be here.")
+        return html.head("Signed value") + html.empty("Not measured yet.", "Its values with U will be shown here.")
     simulated = SIMULATED if record.simulated else Markup()
     rows = [_value_row(one) for one in record.result.characteristics]
     pairs = [("Made", _day(record.at)), (_due_word(history), _day(record.due)), ("Signed by", record.signed_by)]
@@ -324,7 +324,7 @@ def history_table(history: CalibrationHistory) -> Markup:
     records = history.records
     if len(records) < 2:
         return Markup()
-    unit = html.with_micro_sign(records[-1].result.characteristics[0].unit)
+    unit = html.typeset(records[-1].result.characteristics[0].unit)
     rows = [_history_row(record) for record in reversed(records[-MOST_ROWS:])]
     heads = ["Day", f"Value, {unit}" if unit not in ("", "1") else "Value", "U", "Signed by"]
     return html.head("History", str(len(records))) + html.table(heads, rows, " nn ")
@@ -412,7 +412,7 @@ def titled(name: str) -> str:
 
 def labelled(one: Characteristic) -> str:
     """Return the name of a characteristic with its unit."""
-    return titled(one.name) if one.unit in ("", "1") else f"{titled(one.name)}, {html.with_micro_sign(one.unit)}"
+    return titled(one.name) if one.unit in ("", "1") else f"{titled(one.name)}, {html.typeset(one.unit)}"
 
 
 def _kind_row(history: CalibrationHistory, chosen: bool) -> Markup:
@@ -442,7 +442,7 @@ def _kind_row(history: CalibrationHistory, chosen: bool) -> Markup:
 
 def _with_u(one: Characteristic) -> str:
     value, u = value_and_u(one.value, one.expanded)
-    unit = "" if one.unit in ("", "1") else f" {html.with_micro_sign(one.unit)}"
+    unit = "" if one.unit in ("", "1") else f" {html.typeset(one.unit)}"
     return f"{value} ± {u}{unit}"
 
 
@@ -498,7 +498,7 @@ def _changes(found: Sequence[Characteristic], history: CalibrationHistory) -> Ma
 
 
 def _lines(notes: Sequence[str]) -> Markup:
-    lines = Markup("").join(Markup("<div>{}</div>").format(html.with_micro_sign(note)) for note in notes if note)
+    lines = Markup("").join(Markup("<div>{}</div>").format(html.typeset(note)) for note in notes if note)
     return Markup('<div class="wv-notes">{}</div>').format(lines) if lines else Markup()
 
 

@@ -84,9 +84,7 @@ def curve_html(look: LiveLook, snapshot: Snapshot, ends_um: tuple[float, float])
             words.append(_label(axes, best_um, "good", text, 1))
     drawn += line_svg(axes.upright(axes.x.within(here_um)), "ink", 1.8)
     if len(points) < 2:
-        words.append(
-            Markup('<b class="wv-live-unseen">Move in z, or go to focus: the curve grows with what is seen</b>')
-        )
+        words.append(Markup('<b class="wv-live-unseen">Move in z, or go to focus: the curve is drawn as you move</b>'))
     else:
         words += _unseen(axes, points)
     look_of_plot = PlotLook("Focus score over z", "Focus, % of the best", "z, µm", classes="wv-profiles", top_px=8)

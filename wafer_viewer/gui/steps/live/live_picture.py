@@ -242,7 +242,7 @@ def _goal(snapshot: Snapshot, look: LiveLook, limits: RigLimits, size: PictureSi
         return Markup()
     x_um, y_um = goal[0] - frame.position.x_um, goal[1] - frame.position.y_um
     across, down = 0.5 + x_um / limits.field_width_um, 0.5 - y_um / limits.field_height_um
-    words = Markup("<b>Driving there · {}</b><br>Δx {} Δy {}").format(
+    words = Markup("<b>Moving there · {}</b><br>Δx {} Δy {}").format(
         duration(snapshot.live.goal_s), number(x_um, 1, signed=True), with_unit(y_um, 1, signed=True)
     )
     if not (0 < across < 1 and 0 < down < 1):

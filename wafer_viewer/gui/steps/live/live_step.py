@@ -63,7 +63,7 @@ def live_step(here: Here[JogPad]) -> Elements | None:
     marks = [button(name, partial(_mark, page, act), icon, disabled=off) for name, icon, _, act in marks_of(page)]
     use = button("Use for the plan", partial(_use_for_plan, page), ICON.CHECK, "leading", disabled=nothing)
     return [
-        Html(html.title("Live", "Drive the sample, then tell the scan where and how deep.")),
+        Html(html.title("Live", "Move the stage, then set where and how deep to scan.")),
         Html(page.notes(snapshot)),
         Html(html.head("Drive", _KEYS_ON)),
         Html(pad_html()),
@@ -159,7 +159,7 @@ def _keep_picture(page: Page) -> None:
 def _use_for_plan(page: Page) -> None:
     def used(_: object) -> None:
         page.change(live=False)
-        page.say("The plan follows the marks", "Undo brings the plan before back: Ctrl + Z.")
+        page.say("The plan follows the marks", "Undo restores the previous plan: Ctrl + Z.")
 
     page.ask(NOT_USED, page.session.live.use_for_plan(), used)
 
@@ -219,7 +219,7 @@ def _search_words(snapshot: Snapshot, look: LiveLook) -> Markup:
         text = f"Focus found here at z {value} ± {u} µm (k = 2)."
     elif limits is not None:
         reach = with_unit(6 * limits.depth_of_field_um, 0)
-        text = f"Go to focus looks ± {reach} around, farther if it has to, and ends on the best."
+        text = f"Go to focus looks ± {reach} around, farther if needed, and stops at the best focus."
     else:
         text = ""
     return Markup('<div class="wv-lab">{}</div>').format(text)
@@ -227,7 +227,7 @@ def _search_words(snapshot: Snapshot, look: LiveLook) -> Markup:
 
 ELSEWHERE = "\u2013"
 """Choice that is shown while a positioner is at none of its named positions."""
-GOES_THERE = "It moves there when the typing pauses"
+GOES_THERE = "It moves there after Enter or a pause in typing"
 
 
 def _instrument(page: Page, states: tuple[PositionerState, ...], off: bool) -> Elements:
@@ -335,7 +335,7 @@ def step_words(step_um: float) -> Markup:
     """Return the steps, and what Shift and a held key do."""
     return Markup(
         '<div class="wv-steps"><span>Step, X and Y<b>{}</b></span><span>Step, Z<b>{}</b></span>'
-        "<small><kbd>Shift</kbd> ten times. Hold a key: it jogs, and stops when you let go.</small></div>"
+        "<small><kbd>Shift</kbd> ten times. Hold a key to jog; release it to stop.</small></div>"
     ).format(with_unit(step_um, 0), with_unit(step_um * Z_SHARE, 1))
 
 

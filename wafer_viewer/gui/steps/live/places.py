@@ -92,7 +92,7 @@ def side_view(limits: RigLimits, z_um: float, top: KnownTop | None) -> Markup:
     clear = objective.working_distance_um + z_um - top.um if top is not None else None
     drawing = Markup(
         '<svg class="wv-side" viewBox="0 0 268 142" role="img" aria-label="Objective from the side">'
-        '<path class="safe" d="M6 {safe}H262"/><text x="6" y="{safe_text}">safe z {safe_z}, long ways go over it</text>'
+        '<path class="safe" d="M6 {safe}H262"/><text x="6" y="{safe_text}">safe z {safe_z}, moves pass above</text>'
         '<g transform="translate(0 {front:.1f})"><path class="glass" d="M112 -34h44v18l-10 14h-24l-10 -14z"/>'
         '<text x="134" y="-20" text-anchor="middle" class="mag">{mag} ×</text></g>'
         '<path class="beam" d="M124 {front:.1f}L134 {sample}L144 {front:.1f}z"/>'
@@ -116,8 +116,8 @@ def side_view(limits: RigLimits, z_um: float, top: KnownTop | None) -> Markup:
     known = [("Highest known z", with_unit(top.um, 1, signed=True)), ("known from", top.source)] if top else []
     rows = [
         *known,
-        ("Clear over it", _mm(clear) if clear is not None else "not known"),
-        ("z stops by itself at", _mm(objective.clearance_um) if top else with_unit(lowest_um, 0, signed=True)),
+        ("Clearance above it", _mm(clear) if clear is not None else "not known"),
+        ("z stops automatically at", _mm(objective.clearance_um) if top else with_unit(lowest_um, 0, signed=True)),
     ]
     return drawing + html.pairs(rows)
 

@@ -64,7 +64,9 @@ def verdict(inspection: Inspection) -> Markup:
         case "fail":
             note = html.note("fault", "Not within the limits", reasons)
         case _:
-            note = html.note("fault" if limits.are_set else "attention", "No verdict: not all was inspected", reasons)
+            note = html.note(
+                "fault" if limits.are_set else "attention", "No verdict: parts were not inspected", reasons
+            )
     return Markup('<div class="wv-blind">{}</div>').format(note)
 
 
@@ -92,7 +94,7 @@ OF_JOB, FOUND, GIVEN = "The job's, or found", "Found", "Given"
 DIES = (OF_JOB, FOUND, GIVEN)
 _EVIDENCE = Setting(
     "Look at",
-    "Where a defect may show",
+    "Where to look for defects",
     titles={"both": "Height and picture", "height": "Height", "picture": "Picture"},
 )
 
@@ -106,7 +108,7 @@ class DefectForm(Spec, frozen=True, kw_only=True):
 
     error = MeasureError
     sensitivity: Annotated[
-        Fraction, Setting("Sensitivity", "0 finds only clear defects, 1 everything that may be one", step=0.05)
+        Fraction, Setting("Sensitivity", "0 finds only clear defects, 1 also doubtful ones", step=0.05)
     ] = DefectRecipe().sensitivity
     compare: Annotated[str, _choice("Compare", "A surface with one die has no others to compare with", AGAINST)] = DIE
     evidence: Annotated[Evidence, _EVIDENCE] = "both"

@@ -45,7 +45,7 @@ from wafer_viewer.gui.steps.review.judging import Review
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.inspection.defect import FORM_SEES, REFERENCES, Defect, Inspection
+from wafer_viewer.model.inspection.defect import FORM_SEES, REFERENCES, Defect, Inspection, verdict_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace, settings_of
@@ -164,9 +164,9 @@ DEFECT_PICKS: Picks[DefectsState] = {
 def _top(here: Here[DefectsState]) -> Markup:
     state = here.snapshot.inspection
     if state.work:
-        return html.head("Defects", "being searched for")
+        return html.head("Defects", "searching …")
     if (inspection := state.inspection) is None:
-        first = html.empty("Nothing was inspected yet:", "set the sensitivity and press Inspect.")
+        first = html.empty("Not inspected yet:", "set the sensitivity and press Inspect.")
         return html.head("Defects") + ("" if state.problem else first)
     link = html.link("Less" if here.own.unfolded else "Inspect again…", "defect-form")
     n = sum(defect.judgement != "open" for defect in inspection.defects)
@@ -205,7 +205,8 @@ def _filters(here: Here[DefectsState]) -> Elements:
 def alone(listing: DefectListing, inspection: Inspection) -> Markup:
     """Return the active filters with a link that clears them; empty if everything is listed."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
-    filters = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
+    die = html.typeset(f"Die {listing.die}")
+    filters = [f"{die} ({state})" if state else die] if listing.die else []
     filters += [DEFECT_CLASSES[kind].title for kind in DEFECT_CLASSES if kind == listing.kind]
     filters += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
     titles = {name: settings_of(DefectListing)[name].setting.title for name in FILTERED[2:]}
@@ -284,8 +285,8 @@ def _row(item: ReviewItem, chosen: bool, thumb: str) -> Markup:
 
 
 _NONE: dict[ReviewFilter, str] = {
-    "all": "Nothing is under review.",
-    "open": "Nothing is left open.",
+    "all": "There is nothing to review.",
+    "open": "Nothing is open.",
     "accepted": "Nothing was accepted.",
     "rejected": "Nothing was rejected.",
 }
@@ -340,13 +341,14 @@ def summary(state: InspectionState) -> str:
         if state.stale
         else ""
     )
-    return problem + stale + unknown(inspection)
+    told = verdict_of(inspection).word == "no verdict"  # its reasons name what was not inspected
+    return problem + stale + (Markup() if told else unknown(inspection))
 
 
 def facts(inspection: Inspection) -> Markup:
     """Return area, density, reference, threshold, expected false detections and notes of an inspection, as HTML."""
     return Markup("").join(
-        Markup('<div class="wv-sub">{}</div>').format(html.with_micro_sign(line)) for line in _facts(inspection)
+        Markup('<div class="wv-sub">{}</div>').format(html.typeset(line)) for line in _facts(inspection)
     )
 
 
@@ -359,7 +361,7 @@ def unknown(inspection: Inspection) -> Markup:
     if not causes:
         return Markup()
     text = f"{', '.join(causes)}: these parts were not inspected."
-    return Markup('<div class="wv-blind">{}</div>').format(html.note("attention", "Not all of it was inspected", text))
+    return Markup('<div class="wv-blind">{}</div>').format(html.note("attention", "Parts were not inspected", text))
 
 
 def nothing_found(inspection: Inspection) -> Markup:

@@ -64,9 +64,9 @@ def die_map(here: Here[tuple[Review, CameraView]]) -> Elements | None:
     frame, drawn = _drawn(snapshot.inspection, outline, listing, view.review_filter, snapshot.defect_files.other)
     defect = chosen_defect(snapshot, view.review)
     marks = map_marks_svg(frame, here.own[1]() or (), [_mark(defect)] if defect is not None else ()) if frame else ""
-    ways = html.segments("defect-map-by", BY.items(), view.defects.map_by, "Coloured by", "wv-by")
+    ways = html.segments("defect-map-by", BY.items(), view.defects.map_by, "Coloured by")
     return [
-        Html(Markup('<div class="wv-h first">Defects on the dies{}</div>').format(ways)),
+        Html(Markup('<div class="wv-h first">Defects on the dies</div>{}').format(ways)),
         Html(Markup('<div class="wv-over-map wv-dies">{}</div>').format(marks) if marks else ""),
         Html(drawn),
     ]
@@ -90,10 +90,7 @@ def map_commands(review: Review) -> list[Command]:
             for name, key, by in TO_DIES
         ),
         Command("Show only the next class", "0", lambda: _step_kind(review), icon.FILTER, group="Review"),
-        *(
-            Command(f"Dies by {name}", None, lambda b=by: review.list_by(map_by=b), icon.MAP, group="Review")
-            for by, name in BY.items()
-        ),
+        *(Command(f"Dies by {by}", None, lambda b=by: review.list_by(map_by=b), icon.MAP, group="Review") for by in BY),
     )
 
 
@@ -146,7 +143,7 @@ def _mark(defect: Defect) -> MapMark:
     return MapMark(defect.center.x_um, defect.center.y_um, look.colour, name, chosen=True, shape=look.shape)
 
 
-BY: dict[MapBy, str] = {name: name for name in ("class", "count", *DIE_UNITS)}
+BY: dict[MapBy, str] = {name: name.capitalize() for name in ("class", "count", *DIE_UNITS)} | {"brightness": "Bright"}
 MOST_DIES = 8
 """Rows of the table of dies, those that lie or shine farthest off."""
 MOST_SIGNS = 400
@@ -188,7 +185,7 @@ def dies_table(inspection: Inspection, by: DieNumber) -> Markup:
     rows = [
         html.row(
             [
-                die.name,
+                html.typeset(die.name),
                 *(_with_u(one) for one in (at.tilt_x, at.tilt_y, at.offset.quantity, at.bow.quantity)),
                 f"{100 * at.brightness_fraction:+.1f}",
             ],

@@ -73,8 +73,8 @@ def recipe_origin_text(recipe: DefectRecipe, now: DefectRecipe, files: DefectFil
     if not now.product:
         return "Without a product no recipe can be saved."
     if files.recipes_of(now.product):
-        return f"As no recipe of {now.product} that is kept."
-    return f"No recipe of {now.product} is kept."
+        return f"Matches no saved recipe of {now.product}."
+    return f"No recipe is saved for {now.product}."
 
 
 def unreadable(files: DefectFilesState) -> str:
@@ -93,7 +93,7 @@ def golden_table(files: DefectFilesState, product: str, chosen: str) -> Markup:
     )
     if not mine:
         return (
-            html.empty("No golden die is kept", "compare with the fitted form, or die to die.")
+            html.empty("No golden die is saved", "compare with the fitted form, or die to die.")
             + html.remark(others_text)
             + link
         )

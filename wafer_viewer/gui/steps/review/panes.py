@@ -84,7 +84,7 @@ def panes_sheet(here: Here[Any], room: SheetRoom) -> tuple[Markup, int]:
     """Return the pictures of the defect under review: place, reference and difference, with their scales."""
     answer, sizes = compared(here), Sizes.within(room)
     defect = chosen_defect(here.snapshot, here.view.review)
-    words = html.empty(html.with_micro_sign(answer.problem) or "Making the pictures …")
+    words = html.empty(html.typeset(answer.problem) or "Making the pictures …")
     body, foot = Markup('<div class="wv-over-picture" style="grid-row:1/3">{}</div>').format(words), ""
     if defect is not None and answer.value is not None:
         panes = _Panes(defect, answer.value, here.view, sizes)
@@ -143,7 +143,7 @@ class _Panes:
 
     def drawn(self) -> Markup:
         own, other = self.answer.views[0], reference(self.answer, self.view)
-        below = f"die {self.defect.die}" if self.defect.die else "outside of the dies"
+        below = html.typeset(f"die {self.defect.die}") if self.defect.die else "outside of the dies"
         reference_title, name = _named(other, self.answer.pixel_um) if other is not None else ("Reference", "")
         of = "picture" if self.by_grey else "heights"
         why = other.why_not if other is not None else "There is nothing to compare with."
@@ -166,7 +166,7 @@ class _Panes:
     def foot(self) -> str:
         other = reference(self.answer, self.view)
         if other is None or other.why_not:
-            return "Heights over the median of this place." if not self.by_grey else ""
+            return "Heights above the median of this place." if not self.by_grey else ""
         name = ": ".join(filter(None, _named(other, self.answer.pixel_um)))
         if self.by_grey:
             return f"Brightness matched · {name}"
@@ -184,7 +184,7 @@ class _Panes:
         side = self.sizes.large_px if large else self.sizes.small_px
         span = "grid-row:1/3" if large else "grid-column:2"
         if not jpeg:
-            inside = html.empty(html.with_micro_sign(why) or "Not measured here.")
+            inside = html.empty(html.typeset(why) or "Not measured here.")
         else:
             url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
             inside = Markup('<img alt="{}" src="{}">{}').format(name, url, self._over(side))
@@ -294,7 +294,7 @@ def _section_words(defect: Defect, view: View) -> Iterator[Markup]:
     yield Markup("{} {}").format(html.chip("A", PROFILE_COLOURS[0]), height)
     like = "last scan" if view.compared == "before" else "reference"
     where = "across it" if defect.major.value_um > ELONGATED * defect.minor.value_um else "along the rows"
-    yield Markup("{} {} <span class=dim>{}, dashed above</span>").format(
+    yield Markup("{} {} <span class=dim>{}<span class=wv-further>, dashed above</span></span>").format(
         html.chip("B", PROFILE_COLOURS[1]), like, where
     )
 

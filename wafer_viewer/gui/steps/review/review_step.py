@@ -144,7 +144,7 @@ def numbers_of(item: ReviewItem) -> Markup:
     """Return all quantities of an item with their U, and the verdict with its reason."""
     rows = [html.row(row, " nn") for row in item.rows]
     word = words.state(item.word) + " · " if item.word is not None else Markup()
-    reason = word + html.with_micro_sign(item.reason)
+    reason = word + html.typeset(item.reason)
     below = Markup('<div class="wv-sub" style="margin-top:6px">{}</div>').format(reason) if reason else Markup()
     return (html.table(["", "Value", "± U, 95 %", ""], rows, " nn") if rows else Markup()) + below
 

@@ -45,11 +45,11 @@ from wafer_viewer.model.surface.comparison import (
 from wafer_viewer.session.state.snapshot import Compared
 
 CHOICES = "surfaces to compare with"
-NOTHING_TO_COMPARE = "Nothing else yet"
-NOT_COMPARED, NOT_LISTED = "The surfaces were not compared", "The surfaces to compare were not listed"
+NOTHING_TO_COMPARE = "No other surface yet"
+NOT_COMPARED, NOT_LISTED = "The surfaces were not compared", "Listing surfaces to compare failed"
 ICON = viser.Icon
 WITH_HINT, ALIGN_HINT = "The other surface", "Registration of one surface to the other before they are subtracted"
-KEEP_HINT = "Whether they stay as measured, so that a common change shows"
+KEEP_HINT = "Keep them as measured, so that an overall change shows"
 FACE_CHOICES = tuple((face, label) for face, (label, _) in FACE_TITLES.items())
 OUTDATED = "One of the surfaces has changed or was deleted: compare again."
 SIDE_BY_SIDE = "The second stands to the right of the first, in the same colours and range."

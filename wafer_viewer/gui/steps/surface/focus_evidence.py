@@ -278,7 +278,7 @@ def _row(verdict: Verdict) -> Markup:
     before, figure = FIGURES.get(verdict.unit, ("", lambda value: number(value, 2)))
     unit = f"in {verdict.unit}" if verdict.unit and verdict.unit not in FIGURES else ""
     note = "" if verdict.note.rstrip(".").casefold().endswith(GATE_IS_OFF) else verdict.note
-    detail = " · ".join(text for text in (word, unit, html.with_micro_sign(note)) if text)
+    detail = " · ".join(text for text in (word, unit, html.typeset(note)) if text)
     sign = Markup('<span style="color:var(--{})" aria-hidden="true">{}</span>').format(tone, html.icon(icon, 17))
     question = Markup('{}<small style="color:var(--{})">{}</small>').format(verdict.question, tone, detail)
     score = NOTHING if verdict.score is None else figure(verdict.score)

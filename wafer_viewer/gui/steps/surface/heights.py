@@ -56,7 +56,7 @@ def heights_section(page: Page, view: View) -> Stack | None:
     low, high = (round(z, _DECIMALS) for z in brush_um or span_um)
     none, icon = brushed is None or not brushed.n_points, viser.Icon
     verbs = [
-        Button("Keep only these", keep, icon.FILTER, disabled=none),
+        Button("Show only these", keep, icon.FILTER, disabled=none),
         Button("Measure the place", measure, icon.RULER_MEASURE, disabled=none),
     ]
     elements = [

@@ -226,7 +226,7 @@ def _kind(group: list[str], sign: Any) -> Markup:
 
 def _sentence(text: str) -> str:
     """Format a note: micro signs, multiplication signs, a full stop."""
-    return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.with_micro_sign(text)).rstrip(".") + "."
+    return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.typeset(text)).rstrip(".") + "."
 
 
 BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."

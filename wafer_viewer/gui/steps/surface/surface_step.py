@@ -41,8 +41,8 @@ from wafer_viewer.session.rendering.render_request import Statistics
 from wafer_viewer.session.state.snapshot import OpenDataset, SurfaceInfo
 
 FAILED, FRAME_FAILED = "The display was not changed", "The frame was not changed"
-SHOW_HINT, COLOUR_HINT = "The stitched surface, or one field", "What the colours mean"
-MAP_HINT = "Monotonic in lightness; all but Viridis and Cividis keep their light end on the surface"
+SHOW_HINT, COLOUR_HINT = "The stitched surface, or one field", "Quantity shown as colour"
+MAP_HINT = "Monotonic in lightness; on the surface Viridis and Cividis lose their light end"
 RANGE_HINT, ENDS_HINT = "Range of values that the colours cover", "Lowest and highest value of the colours"
 HEIGHT_HINT = "Exaggeration of z; 1 is the true shape, at most 20"
 SHADE_HINT = "Light from the north-west; 0 shows colours as the bar does"
@@ -291,7 +291,7 @@ def _numbers_of(here: Here[SurfaceState], data: OpenDataset | None, info: Surfac
     if view.counted == "selection" and view.selection is None:
         return html.empty("Drag a rectangle over the surface:", "its statistics are shown here.")
     if problem:
-        return html.empty(html.with_micro_sign(problem))
+        return html.empty(html.typeset(problem))
     if info is None and not view.show:
         return html.empty("The statistics of the surface are shown", "when its fields are stitched.")
     return html.empty("Counting …")
