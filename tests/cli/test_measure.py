@@ -116,6 +116,7 @@ def test_texture_and_roughness_through_filters(measured):
         "l_filter_um": 20.0,
         "noise_um": None,
         "slopes": "neighbours",
+        "spikes": "keep",
         "borders": "keep",
         "c_um": None,
         "mr_percent": None,

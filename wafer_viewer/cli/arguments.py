@@ -36,6 +36,8 @@ File = Annotated[Path | None, arg(metavar="FILE")]
 Count = Annotated[int | None, arg(metavar="N")]
 Text = Annotated[str | None, arg(metavar="TEXT")]
 Rectangle = Annotated[tuple[float, float, float, float], arg(metavar="X0 Y0 X1 Y1")]
+Rectangles = Annotated[tuple[tuple[float, float, float, float], ...], arg(metavar="X0 Y0 X1 Y1 ...")]
+Corners = Annotated[tuple[float, ...], arg(metavar="X Y X Y [X Y ...]")]
 Line = Annotated[tuple[float, float, float, float], arg(metavar="X0 Y0 X1 Y1")]
 Place = Annotated[tuple[float, float], arg(metavar="X Y")]
 Numbers = Annotated[tuple[float, ...], arg(metavar="X Y ...")]
@@ -66,6 +68,17 @@ def with_flags(run: Callable[..., None], about: str, flags: Sequence[Flag]) -> C
     run.__annotations__ = {flag.name: flag.kind for flag in flags}
     run.__doc__ = "\n".join([about, "", "Args:", *(f"    {flag.name}: {flag.help}" for flag in flags)])
     return run
+
+
+def outlined(*numbers: float) -> Region:
+    """Return the rectangle between two corners, or the polygon through more. Raises MeasureError for other numbers."""
+    if len(numbers) < 4 or len(numbers) % 2:
+        raise MeasureError(
+            f"An area has {len(numbers)} numbers: give X0 Y0 X1 Y1 of a rectangle, or X Y of each corner of a polygon."
+        )
+    if len(numbers) == 4:
+        return Region.rectangle(*numbers)
+    return Region.polygon(*zip(numbers[::2], numbers[1::2], strict=True))
 
 
 def _image_options(

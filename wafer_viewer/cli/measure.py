@@ -17,6 +17,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from wafer_viewer.cli.arguments import (
     Circle,
+    Corners,
     DatasetFolder,
     File,
     Flag,
@@ -27,14 +28,16 @@ from wafer_viewer.cli.arguments import (
     OutFile,
     Place,
     Rectangle,
+    Rectangles,
     Source,
     levelling_from,
+    outlined,
     with_flags,
 )
 from wafer_viewer.cli.output import print_json, to_program
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
-from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, ToolName
+from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, PlaceAsked, ToolName
 from wafer_viewer.model.measurement.sections import (
     MOST_LINES,
     OtherSurface,
@@ -82,7 +85,8 @@ def tool_command(tool: MeasuringTool) -> Callable[..., None]:
 
     def run(src: Path, field: int, result: str, json: bool, level: tuple[str, ...] = (), **given: Any) -> None:
         widths = {"width_um": given.pop("width_um")} if "width_um" in given else {}
-        places = tuple(_REGIONS[place.kind](*given.pop(place.flag), **widths) for place in tool.places)
+        masked = tuple(Region.rectangle(*corners) for corners in given.pop(EXCLUDE, ()))
+        places = tuple(_region(place, given.pop(place.flag), widths, masked, tool) for place in tool.places)
         options = ToolOptions(**{tool.name: tool.options(**given)}) if tool.options is not None else None
         _measure(tool.name, places, src, level, field, result, json, options)
 
@@ -98,7 +102,9 @@ def tool_command(tool: MeasuringTool) -> Callable[..., None]:
 
 def _region_flags(tool: MeasuringTool) -> list[Flag]:
     """Return a flag for each region, and one for the width of a line."""
-    flags = [Flag(place.flag, _REGION_TYPES[place.kind], place.help) for place in tool.places]
+    flags = [Flag(place.flag, _region_type(place, tool), place.help) for place in tool.places]
+    if _takes_outlines(tool):
+        flags.append(Flag(EXCLUDE, Rectangles, _EXCLUDE_HELP, ()))
     if any(place.kind == "line" for place in tool.places):
         flags.append(Flag("width_um", float, "How wide a strip across the line is averaged over; 0: a pixel.", 0.0))
     return flags
@@ -112,6 +118,34 @@ def _option_flags(tool: MeasuringTool) -> list[Flag]:
     hints, default = get_type_hints(tool.options), tool.options()
     names = tool.options.__struct_fields__
     return [Flag(name, hints[name], helps.get(name, ""), getattr(default, name)) for name in names]
+
+
+EXCLUDE = "exclude"
+_EXCLUDE_HELP = (
+    "Rectangles that are left out: two opposite corners of each. Six numbers or more of a region: a polygon."
+)
+
+
+def _takes_outlines(tool: MeasuringTool) -> bool:
+    """Return whether the regions of a tool may be polygons with parts left out."""
+    return not tool.on_picture and any(place.kind == "rectangle" for place in tool.places)
+
+
+def _region_type(place: PlaceAsked, tool: MeasuringTool) -> Any:
+    return Corners if place.kind == "rectangle" and _takes_outlines(tool) else _REGION_TYPES[place.kind]
+
+
+def _region(
+    place: PlaceAsked,
+    numbers: Sequence[float],
+    widths: dict[str, float],
+    masked: tuple[Region, ...],
+    tool: MeasuringTool,
+) -> Region:
+    """Return the region of a flag, without the masked ones if it has an area."""
+    if place.kind == "rectangle" and _takes_outlines(tool):
+        return outlined(*numbers).without(*masked)
+    return _REGIONS[place.kind](*numbers, **(widths if place.kind == "line" else {}))
 
 
 _REGIONS: dict[RegionKind, Callable[..., Region]] = {
@@ -253,7 +287,6 @@ def _facts(section: Section, points: bool) -> dict[str, Any]:
     return facts
 
 
-Rectangles = Annotated[tuple[tuple[float, float, float, float], ...], arg(metavar="X0 Y0 X1 Y1 ...")]
 Known = Annotated[float | None, arg(metavar="UM")]
 
 

@@ -218,9 +218,10 @@ def on_stage(region: Region, alignment: Alignment | None) -> Region:
         return region
     if region.kind == "rectangle" and alignment.rotation_rad != 0:
         x0, y0, x1, y1 = region.bounds_um
-        region = Region.polygon((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+        region = Region.polygon((x0, y0), (x1, y0), (x1, y1), (x0, y1)).without(*region.excluded)
     places = (alignment.to_stage(p.x_um, p.y_um) for p in region.points)
-    return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in places))
+    holes = tuple(on_stage(hole, alignment) for hole in region.excluded)
+    return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in places), excluded=holes)
 
 
 def _dies_of(feature: Feature, dies: Dies | None) -> Iterator[Die | None]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.spec import NonNegative, Spec, Within
+from wafer_viewer.model.spec import NonNegative, Spec, Within, replace
 
 
 class Point(Spec, frozen=True, kw_only=True, array_like=True):
@@ -27,16 +27,23 @@ _POINTS: dict[RegionKind, tuple[int, int]] = {
     "line": (2, 2),
     "point": (1, 1),
 }
+_WITH_AREA: tuple[RegionKind, ...] = ("rectangle", "circle", "polygon")
+_AREA_STEPS = 1000
+"""Points along each side of a region at which the area that excluded regions leave is counted."""
 
 
 class Region(Spec, frozen=True, kw_only=True):
-    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners), line (two ends) or point."""
+    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners), line (two ends) or point.
+
+    excluded: rectangles, circles and polygons that are taken out of a region with an area.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     kind: RegionKind
     points: tuple[Point, ...]
     radius_um: NonNegative = 0.0
     width_um: Annotated[float, Within(0)] = 0.0
+    excluded: tuple[Region, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -48,6 +55,8 @@ class Region(Spec, frozen=True, kw_only=True):
             )
         if self.kind == "circle" and self.radius_um == 0:
             self.refuse("radius_um", "over 0 for a circle")
+        if self.excluded and not all(region.kind in _WITH_AREA for region in (self, *self.excluded)):
+            self.refuse("excluded", f"{', '.join(_WITH_AREA)} within one of these")
 
     @classmethod
     def rectangle(cls, x0_um: float, y0_um: float, x1_um: float, y1_um: float) -> Region:
@@ -75,6 +84,10 @@ class Region(Spec, frozen=True, kw_only=True):
         """Return a single point."""
         return cls(kind="point", points=(Point(x_um=x_um, y_um=y_um),))
 
+    def without(self, *excluded: Region) -> Region:
+        """Return the region without these regions: a mask with holes."""
+        return replace(self, excluded=(*self.excluded, *excluded))
+
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
         """(x low, y low, x high, y high) of the axis-parallel bounding box."""
@@ -84,7 +97,12 @@ class Region(Spec, frozen=True, kw_only=True):
 
     @property
     def area_um2(self) -> float:
-        """Enclosed area; 0 for a line or a point."""
+        """Enclosed area, 0 for a line or a point; without excluded regions, within about 0.1 % of the bounding box."""
+        if self.excluded:
+            x0, y0, x1, y1 = self.bounds_um
+            middles = (np.arange(_AREA_STEPS) + 0.5) / _AREA_STEPS
+            inside = self.contains(x0 + (x1 - x0) * middles, (y0 + (y1 - y0) * middles)[:, None])
+            return float(inside.mean()) * (x1 - x0) * (y1 - y0)
         if self.kind == "circle":
             return math.pi * self.radius_um**2
         if self.kind == "rectangle":
@@ -108,6 +126,12 @@ class Region(Spec, frozen=True, kw_only=True):
     def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the points (arrays that broadcast together) inside; a line or a point contains none."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
+        inside = self._outline_contains(x, y)
+        for region in self.excluded:
+            inside &= ~region.contains(x, y)
+        return inside
+
+    def _outline_contains(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
         if self.kind in ("line", "point"):
             return np.zeros(x.shape, bool)
         if self.kind == "circle":

@@ -254,7 +254,7 @@ def settings_of(kind: type[Spec]) -> dict[str, SettingField]:
             limit = next((mark for mark in marks if isinstance(mark, Within)), None)
             found[name] = SettingField(setting, plain, limit)
         for part in typing.get_args(plain) or (plain,):
-            if isinstance(part, type) and issubclass(part, Spec):
+            if isinstance(part, type) and issubclass(part, Spec) and part is not kind:
                 found |= {f"{name}.{inner}": one for inner, one in settings_of(part).items()}
     return found
 

@@ -74,7 +74,8 @@ def _on_wafer(region: Region, lies: Alignment | None) -> Region:
     if lies is None:
         return region
     points = (lies.to_wafer(point.x_um, point.y_um) for point in region.points)
-    return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in points))
+    holes = tuple(_on_wafer(hole, lies) for hole in region.excluded)
+    return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in points), excluded=holes)
 
 
 Box = tuple[float, float, float, float]

@@ -122,6 +122,8 @@ def require_rectangle(region: Region, what: str) -> None:
     """Raise MeasureError for another kind of region. what: as in 'A kerf width'."""
     if region.kind != "rectangle":
         raise MeasureError(f"{what} is measured in a rectangle, this region is a {region.kind}: draw a rectangle.")
+    if region.excluded:
+        raise MeasureError(f"{what} is measured in a whole rectangle, and this one has parts left out: leave none.")
 
 
 def _require_size(region: Region, part: HeightMap, what: str) -> None:

@@ -5,27 +5,24 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
 from wafer_viewer.measure.base.pixel_noise import (
     MOST_SIDE,
 )
-from wafer_viewer.measure.base.plane_faces import MIN_POINTS, area_of, lattice_of
+from wafer_viewer.measure.base.plane_faces import area_of, lattice_of
 from wafer_viewer.measure.texture.features import five_heights, peak_numbers, peaks_and_pits
 from wafer_viewer.measure.texture.material_ratio import bearing, height_at, material_ratio_curve, volumes
+from wafer_viewer.measure.texture.operators import chain_text, longest_um, operated, scale_limited
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.texture.spatial_texture import spatial
 from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, noise_of, with_scale
-from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Texture
-from wafer_viewer.model.measurement.tool_options import Borders, SlopeScheme, TextureOptions
+from wafer_viewer.model.measurement.tool_options import Borders, SlopeScheme, Spikes, TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.filters.gaussian import gaussian_mean
-from wafer_viewer.numerics.filters.interpolation import polynomial
 
 
 def root_mean_square_gradient(z_um: Floats, pixel_um: float) -> float | None:
@@ -107,57 +104,6 @@ BORDERS = (
 CUT = "Filter: half its length along the border is not evaluated."
 
 
-def scale_limited(z_um: Floats, pixel_um: float, options: TextureOptions) -> Floats:
-    """Remove form, S-filtered and L-filtered waves from heights.
-
-    The S-filter is applied to the residual from the form: it preserves polynomials, and a tilt causes no edge effects.
-
-    Parameters
-    ----------
-    z_um : (row, col) array of float
-        Heights in um; NaN where nothing was measured.
-    pixel_um : float
-        Width of a pixel in um.
-    options : TextureOptions
-        The form's order, the nesting indices, and what becomes of the borders.
-
-    Returns
-    -------
-    (row, col) array of float
-        Scale-limited heights in um, of zero mean; NaN where nothing was measured, and at borders that are cut.
-
-    Raises
-    ------
-    MeasureError
-        Where a filter is longer than the face, or its points do not determine the form, or too little is left of it
-        without its borders.
-    """
-    _require_room(z_um.shape, pixel_um, options)
-    left = _without_form(z_um - np.nanmean(z_um), options.form_order)
-    if options.s_filter_um is not None:
-        left = _without_form(gaussian_mean(left, options.s_filter_um / pixel_um), options.form_order)
-    if options.l_filter_um is not None:
-        left = left - gaussian_mean(left, options.l_filter_um / pixel_um)
-    if options.borders == "cut":
-        left[~_beyond_border(np.isfinite(left), _longest_um(options) / 2 / pixel_um)] = np.nan
-        if np.count_nonzero(np.isfinite(left)) < MIN_POINTS:
-            raise MeasureError("Without its borders too little of the face is left: draw it larger, or keep them.")
-    return left - np.nanmean(left)
-
-
-def _longest_um(options: TextureOptions) -> float:
-    return max(options.s_filter_um or 0.0, options.l_filter_um or 0.0)
-
-
-def _beyond_border(valid: NDArray[np.bool_], reach_px: float) -> NDArray[np.bool_]:
-    """Return a mask of the pixels of a face that lie further from its outline than a distance; holes are no outline."""
-    from scipy.ndimage import binary_fill_holes, distance_transform_edt
-
-    filled = np.pad(np.asarray(binary_fill_holes(valid)), 1)
-    distance_px: Floats = np.asarray(distance_transform_edt(filled))[1:-1, 1:-1]
-    return distance_px > reach_px
-
-
 def filter_names(options: TextureOptions) -> str:
     """Return the description of the filters for a result."""
     named = (("S", options.s_filter_um), ("L", options.l_filter_um))
@@ -170,26 +116,6 @@ def form_notes(options: TextureOptions) -> tuple[str, ...]:
     form = FORMS.get(options.form_order, f"Form removed: polynomial of least squares of order {options.form_order}.")
     filtered = CUT if options.borders == "cut" else BORDERS
     return form, UNFILTERED if filter_names(options) == "none" else filtered
-
-
-def _require_room(shape: tuple[int, ...], pixel_um: float, options: TextureOptions) -> None:
-    narrowest_um = min(shape) * pixel_um
-    for name, cutoff_um in (("S", options.s_filter_um), ("L", options.l_filter_um)):
-        if cutoff_um is not None and cutoff_um > narrowest_um:
-            raise MeasureError(
-                f"The {name}-filter of {cutoff_um:g} um is longer than the face, {narrowest_um:.4g} um at its "
-                "narrowest: draw it larger or take a shorter filter."
-            )
-
-
-def _without_form(z_um: Floats, order: int) -> Floats:
-    form = polynomial(z_um, order)
-    if form is None:
-        raise MeasureError(
-            f"The measured points of the face do not determine a form of order {order}: draw it larger or lower the "
-            "order."
-        )
-    return z_um - form
 
 
 ROUNDING = 1e-6
@@ -208,6 +134,7 @@ def texture(
     noise_um: float | None = None,
     slopes: SlopeScheme = "neighbours",
     borders: Borders = "keep",
+    spikes: Spikes = "keep",
     c_um: float | None = None,
     mr_percent: float | None = None,
     calibration_valid: bool = True,
@@ -239,6 +166,9 @@ def texture(
     borders : {'keep', 'cut'}, optional
         Default 'keep': what the longer filter evaluates over less than its length at the border counts. 'cut': half of
         its length along the border does not.
+    spikes : {'keep', 'remove'}, optional
+        Default 'keep'. 'remove': heights more than six robust deviations from the median of their 24 neighbours do not
+        count.
     c_um : float, optional
         Height over the mean in um for which the areal material ratio Smr(c) is given. Default None: not given.
     mr_percent : float, optional
@@ -275,8 +205,9 @@ def texture(
     Notes
     -----
     Parameters are those of ISO 25178-2 [1]_, of the scale-limited surface of ISO 25178-3 [2]_. The order of operations
-    is S, then form, then L; the Gaussian filters are those of ISO 16610-61 [3]_. At borders and holes their weights are
-    scaled to sum one (ISO 16610-28 [4]_, moment criterion of order 0).
+    is spikes, S, then form, then L: `chain` names them, with Sq after each. The Gaussian filters are those of ISO
+    16610-61 [3]_. At borders and holes their weights are scaled to sum one (ISO 16610-28 [4]_, moment criterion of
+    order 0).
 
     Hills and dales are those of the watersheds after Wolf pruning of 5 % of Sz; peaks at the border of the face and
     beside unmeasured pixels do not count.
@@ -304,13 +235,14 @@ def texture(
         noise_um=noise_um,
         slopes=slopes,
         borders=borders,
+        spikes=spikes,
         c_um=c_um,
         mr_percent=mr_percent,
     )
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     area = area_of(reading, region, "face", "texture")
     lattice_um = lattice_of(area)
-    z_um = scale_limited(lattice_um, area.pixel_um, options)
+    chain, z_um = chain_text(operated(lattice_um, area.pixel_um, options))
     noise = noise_of(reading, noise_um, area.points.x_um, area.points.y_um, area.level)
     lines = _lines(reading, lattice_um, area.pixel_um, options, noise) if noise is not None else {}
     left = z_um[np.isfinite(z_um)]
@@ -336,6 +268,7 @@ def texture(
         **{**reading.result_fields(name, area.level, *notes), "filter": filter_names(options)},
         region=region,
         options=options,
+        chain=chain,
         **lengths,
         **_moments(left, sq_um, flat),
         **hybrid_parameters(z_um, area.pixel_um, slopes),
@@ -389,7 +322,7 @@ def _lines(
     reading: MeasurementContext, z_um: Floats, pixel_um: float, options: TextureOptions, noise_um: float
 ) -> dict[str, Lines]:
     """Return the budget lines of each length parameter that its size does not give."""
-    room_px = round(FILTERS_ROOM * _longest_um(options) / pixel_um)
+    room_px = round(FILTERS_ROOM * longest_um(options) / pixel_um)
     part, small = (_middle(z_um, max(side, room_px)) for side in (MOST_SIDE, FEATURES_SIDE))
     whole = replace(options, borders="keep")
 

@@ -96,7 +96,7 @@ def site_ranges(
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     within = region or Region.rectangle(*_bounds_um(surface))
     boxes, rows, cols = _lattice(site_um, within.bounds_um)
-    sites = tuple(_site(reading, box) for box in boxes)
+    sites = tuple(_site(reading, box.without(*within.excluded)) for box in boxes)
     ranges = [site.range for site in sites if site.range is not None]
     if not ranges:
         raise MeasureError(f"None of {len(sites)} sites has half of its area measured: choose a region that has.")

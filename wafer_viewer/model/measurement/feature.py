@@ -134,7 +134,8 @@ class Dies(Spec, frozen=True, kw_only=True):
 
 def on_die(region: Region, die: Die) -> Region:
     """Convert a region in um from the corner of a die to wafer um."""
-    return replace(region, points=tuple(Point(x_um=p.x_um + die.x_um, y_um=p.y_um + die.y_um) for p in region.points))
+    points = tuple(Point(x_um=p.x_um + die.x_um, y_um=p.y_um + die.y_um) for p in region.points)
+    return replace(region, points=points, excluded=tuple(on_die(hole, die) for hole in region.excluded))
 
 
 def limits_text(feature: Feature) -> str:

@@ -369,6 +369,7 @@ class Texture(MeasurementResult, frozen=True, kw_only=True, tag="texture"):
     main_fields: ClassVar[tuple[str, ...]] = ("sa",)
     region: Region
     options: TextureOptions = TextureOptions()
+    chain: Annotated[str, Label("Operators", "Operators in their order, each with Sq after it")] = ""
     sa: Annotated[Length, Label("Sa", "Arithmetical mean height", "Height")]
     sq: Annotated[Length, Label("Sq", "Root mean square height", "Height")]
     sp: Annotated[Length, Label("Sp", "Highest peak over the mean", "Height")]

@@ -44,6 +44,16 @@ class PlaceAsked:
     help: str
 
 
+def rectangle_place(name: str, help: str = "Two opposite corners of a rectangle.", flag: str = "region") -> PlaceAsked:
+    """Return a rectangle that a tool needs."""
+    return PlaceAsked(name, "rectangle", flag, help)
+
+
+def line_place(help: str) -> PlaceAsked:
+    """Return the line that a tool needs."""
+    return PlaceAsked("line", "line", "line", help)
+
+
 @dataclass(frozen=True, slots=True)
 class ChoiceControl:
     """Option with a fixed set of values; `values` maps the names on the page to them.

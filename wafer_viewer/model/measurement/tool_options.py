@@ -122,6 +122,7 @@ class VolumeOptions(OptionsSpec, frozen=True, kw_only=True):
 SlopeScheme = Literal["neighbours", "seven_point"]
 Borders = Literal["keep", "cut"]
 """Evaluation of the border of a filtered region or line, half the longest filter wide."""
+Spikes = Literal["keep", "remove"]
 
 
 class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
@@ -131,7 +132,8 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     s_filter_um, l_filter_um: nesting indices of the Gaussian filters of ISO 16610-61 that remove shorter and longer
     wavelengths; None: no filter. noise_um: root mean square noise of the heights, as `calibrate noise` measures it, for
     the uncertainty; None: that of the heights' own uncertainty. slopes: how Sdq and Sdr take slopes, of neighbouring or
-    of seven pixels. borders: what a filter evaluates over less than its length. c_um: height over the mean of Smr(c),
+    of seven pixels. borders: what a filter evaluates over less than its length. spikes: single heights far from their
+    neighbours. c_um: height over the mean of Smr(c),
     mr_percent: material ratio of Smc; None: not given.
     """
 
@@ -141,6 +143,7 @@ class TextureOptions(OptionsSpec, frozen=True, kw_only=True):
     noise_um: NonNegative | None = None
     slopes: SlopeScheme = "neighbours"
     borders: Annotated[Borders, Label("Filter at borders")] = "keep"
+    spikes: Spikes = "keep"
     c_um: Annotated[float | None, Label("c of Smr(c)")] = None
     mr_percent: Annotated[Annotated[float, Within(0, 100)] | None, Label("Material ratio of Smc, %")] = None
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.measurement.face_tools import FACE_TOOLS
 from wafer_viewer.model.measurement.measurements import (
     AreaVolume,
     Chipping,
@@ -18,17 +19,13 @@ from wafer_viewer.model.measurement.measurements import (
     DieSize,
     Distance,
     FaceAngle,
-    Flatness,
     KerfWidth,
     MeasurementResult,
     PointHeight,
     Profile,
     Radius,
-    Roughness,
-    SiteRanges,
     StepHeight,
     StepProfile,
-    Texture,
 )
 from wafer_viewer.model.measurement.measuring_tool import (
     ChoiceControl,
@@ -36,6 +33,8 @@ from wafer_viewer.model.measurement.measuring_tool import (
     NumberControl,
     PlaceAsked,
     ToolName,
+    line_place,
+    rectangle_place,
 )
 from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
@@ -45,23 +44,11 @@ from wafer_viewer.model.measurement.tool_options import (
     GrooveOptions,
     KerfOptions,
     OptionsSpec,
-    RoughnessOptions,
-    SiteRangeOptions,
     StepOptions,
-    TextureOptions,
     VolumeOptions,
 )
 from wafer_viewer.model.plugins import plugins
 from wafer_viewer.model.spec import Spec
-
-
-def _rectangle(name: str, help: str = "Two opposite corners of a rectangle.", flag: str = "region") -> PlaceAsked:
-    return PlaceAsked(name, "rectangle", flag, help)
-
-
-def _line(help: str) -> PlaceAsked:
-    return PlaceAsked("line", "line", "line", help)
-
 
 _CONDITIONS = (
     NumberControl("Repeats s, µm", "conditions.repeatability_um", "Spread of repeated measurements; empty: not known"),
@@ -71,20 +58,6 @@ _CONDITIONS = (
     ),
 )
 _BRIGHTNESS = {"Either": "either", "Bright": "bright", "Dark": "dark"}
-_NOISE = NumberControl(
-    "Noise, µm",
-    "noise_um",
-    "Measurement noise of the heights, from repeats, for U; empty: by the heights' own uncertainty",
-    help="Root mean square noise of the heights, as `calibrate noise` measures it; by their own uncertainty without.",
-)
-_BORDERS = ChoiceControl(
-    "Borders",
-    "borders",
-    {"Keep": "keep", "Cut": "cut"},
-    "Half the longest filter along the border, which evaluates less there",
-    "Half of the longest filter along the border: evaluated over what there is, or left out.",
-)
-_FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
 
 _BUILT_IN = (
     MeasuringTool(
@@ -96,7 +69,7 @@ _BUILT_IN = (
         how="Drag the two handles over the surface.",
         result=Profile,
         measure="wafer_viewer.measure.tools.profile:section",
-        places=(_line("The two ends of the line."),),
+        places=(line_place("The two ends of the line."),),
         initial="informative line",
         group="Sections and steps",
         symbol="P",
@@ -116,8 +89,8 @@ _BUILT_IN = (
         result=StepHeight,
         measure="wafer_viewer.measure.tools.step_height:step_height",
         places=(
-            _rectangle("upper", "Two opposite corners of the upper rectangle.", "upper"),
-            _rectangle("lower", "The same of the lower face.", "lower"),
+            rectangle_place("upper", "Two opposite corners of the upper rectangle.", "upper"),
+            rectangle_place("lower", "The same of the lower face.", "lower"),
         ),
         initial="two levels",
         group="Sections and steps",
@@ -151,7 +124,7 @@ _BUILT_IN = (
         how="Drag the line across a groove or step.",
         result=StepProfile,
         measure="wafer_viewer.measure.tools.step_profile:step_profile",
-        places=(_line("Both ends; it reaches beyond each edge as far as the groove is wide."),),
+        places=(line_place("Both ends; it reaches beyond each edge as far as the groove is wide."),),
         initial="line across a groove",
         group="Sections and steps",
         symbol="K",
@@ -175,8 +148,8 @@ _BUILT_IN = (
         result=FaceAngle,
         measure="wafer_viewer.measure.tools.angle:face_angle",
         places=(
-            _rectangle("first", "Two opposite corners of a rectangle on the one face.", "first"),
-            _rectangle("second", "The same on the other.", "second"),
+            rectangle_place("first", "Two opposite corners of a rectangle on the one face.", "first"),
+            rectangle_place("second", "The same on the other.", "second"),
         ),
         initial="two faces",
         group="Sections and steps",
@@ -257,7 +230,7 @@ _BUILT_IN = (
         how="Drag the region over what stands out of its surroundings.",
         result=AreaVolume,
         measure="wafer_viewer.measure.tools.volume:area_volume",
-        places=(_rectangle("region"),),
+        places=(rectangle_place("region"),),
         initial="around a bump",
         group="What stands out",
         symbol="V",
@@ -286,7 +259,7 @@ _BUILT_IN = (
         how="Drag the region over the bumps of a die.",
         result=Coplanarity,
         measure="wafer_viewer.measure.tools.coplanarity:coplanarity",
-        places=(_rectangle("bumps", "Two opposite corners of a rectangle over the bumps, stage um."),),
+        places=(rectangle_place("bumps", "Two opposite corners of a rectangle over the bumps, stage um."),),
         initial="bumps",
         group="What stands out",
         symbol="B",
@@ -313,7 +286,7 @@ _BUILT_IN = (
         how="Drag the region round a die.",
         result=DieSize,
         measure="wafer_viewer.measure.tools.die_size:die_size",
-        places=(_rectangle("die", "Two opposite corners of a rectangle round the die, stage um."),),
+        places=(rectangle_place("die", "Two opposite corners of a rectangle round the die, stage um."),),
         initial="die",
         group="On the picture",
         symbol="Z",
@@ -342,7 +315,7 @@ _BUILT_IN = (
         how="Drag the region across a kerf.",
         result=KerfWidth,
         measure="wafer_viewer.measure.tools.kerf:kerf_width",
-        places=(_rectangle("kerf", "Two opposite corners of a rectangle across the kerf, stage um."),),
+        places=(rectangle_place("kerf", "Two opposite corners of a rectangle across the kerf, stage um."),),
         initial="kerf",
         group="On the picture",
         symbol="W",
@@ -370,7 +343,7 @@ _BUILT_IN = (
         how="Drag the region along the edge of a die.",
         result=Chipping,
         measure="wafer_viewer.measure.tools.chipping:chipping",
-        places=(_rectangle("edge", "Two opposite corners of a rectangle over one edge, stage um."),),
+        places=(rectangle_place("edge", "Two opposite corners of a rectangle over one edge, stage um."),),
         initial="die edge",
         group="On the picture",
         symbol="C",
@@ -422,143 +395,7 @@ _BUILT_IN = (
             ),
         ),
     ),
-    MeasuringTool(
-        name="flatness",
-        title="Flatness",
-        short="Flatness",
-        summary="the flatness of a face",
-        help="Flatness of a face, FLTt and FLTq of ISO 12781. Stage um.",
-        how="Drag the region over the face.",
-        result=Flatness,
-        measure="wafer_viewer.measure.tools.flatness:flatness",
-        places=(_rectangle("face"),),
-        initial="face",
-        group="Faces",
-        symbol="F",
-        main="FLTt",
-        icon="layers-subtract",
-        key="F",
-        on_toolbar=True,
-    ),
-    MeasuringTool(
-        name="texture",
-        title="Texture",
-        short="Texture",
-        summary="the texture of a face",
-        help="Texture of a face, the parameters of ISO 25178 of what form and filters leave. Stage um.",
-        how="Drag the region over the face.",
-        result=Texture,
-        measure="wafer_viewer.measure.texture.areal_texture:texture",
-        places=(_rectangle("face"),),
-        initial="face",
-        group="Faces",
-        symbol="T",
-        main="Sa",
-        icon="grain",
-        key="T",
-        on_toolbar=True,
-        options=TextureOptions,
-        controls=(
-            ChoiceControl(
-                "Form removed",
-                "form_order",
-                _FORMS,
-                "Polynomial of least squares",
-                "Order of the polynomial that is removed as form; 0 the mean alone, 1 a plane.",
-            ),
-            NumberControl(
-                "S-filter, µm",
-                "s_filter_um",
-                "Removes shorter wavelengths; empty: no filter",
-                help="Nesting index of the Gaussian filter that removes shorter wavelengths; none by default.",
-            ),
-            NumberControl(
-                "L-filter, µm",
-                "l_filter_um",
-                "Removes longer wavelengths; empty: no filter",
-                help="Nesting index of the Gaussian filter that removes longer wavelengths; none by default.",
-            ),
-            ChoiceControl(
-                "Slopes",
-                "slopes",
-                {"Neighbours": "neighbours", "Seven points": "seven_point"},
-                "For Sdq and Sdr; seven points read short waves truer, and noise higher",
-                "Slopes of Sdq and Sdr: of neighbouring pixels, or of seven, which reads short waves truer.",
-            ),
-            _NOISE,
-            _BORDERS,
-            NumberControl(
-                "c of Smr(c), µm",
-                "c_um",
-                "Height over the mean; empty: no Smr(c)",
-                over=None,
-                help="Height over the mean for which the material ratio Smr(c) is given.",
-            ),
-            NumberControl(
-                "Ratio of Smc, %",
-                "mr_percent",
-                "Material ratio, 0 to 100 %; empty: no Smc",
-                help="Material ratio, 0 to 100 %, for which the height Smc is given.",
-            ),
-        ),
-    ),
-    MeasuringTool(
-        name="roughness",
-        title="Roughness",
-        short="Roughness",
-        summary="the roughness along a line",
-        help="Roughness along a line, the parameters of ISO 21920 of what the filters leave. Stage um.",
-        how="Drag the line over the face.",
-        result=Roughness,
-        measure="wafer_viewer.measure.texture.roughness:roughness",
-        places=(_line("The two ends of the line."),),
-        initial="line across a face",
-        group="Faces",
-        symbol="N",
-        main="Ra",
-        icon="wave-saw-tool",
-        key="J",
-        options=RoughnessOptions,
-        controls=(
-            NumberControl(
-                "λc, µm",
-                "lambda_c_um",
-                "Removes longer wavelengths; the sampling length; empty: no filter",
-                help="Cut-off of the Gaussian filter against longer wavelengths, the sampling length; none by default.",
-            ),
-            NumberControl(
-                "λs, µm",
-                "lambda_s_um",
-                "Removes shorter wavelengths; empty: no filter",
-                help="Cut-off of the Gaussian filter that removes shorter wavelengths; none by default.",
-            ),
-            _NOISE,
-            _BORDERS,
-        ),
-    ),
-    MeasuringTool(
-        name="site_range",
-        title="Site range",
-        short="Sites",
-        summary="front-surface site range, as mounted",
-        help="Front-surface site range, as mounted: the range of heights in each site about its own plane, as JSON.",
-        how="Drag the region over the sites: front surface, as mounted.",
-        result=SiteRanges,
-        measure="wafer_viewer.measure.tools.site_range:sites_of_region",
-        places=(_rectangle("sites"),),
-        initial="all in view",
-        group="Faces",
-        symbol="U",
-        main="largest, front surface, as mounted",
-        icon="grid-pattern",
-        result_name="Site range",
-        key="Z",
-        options=SiteRangeOptions,
-        controls=(
-            NumberControl("Site width, µm", "width_um", "Empty: a quarter of the region"),
-            NumberControl("Site height, µm", "height_um", "Empty: a quarter of the region"),
-        ),
-    ),
+    *FACE_TOOLS,
 )
 
 TOOLS: dict[ToolName, MeasuringTool] = {

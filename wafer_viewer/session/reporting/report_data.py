@@ -62,7 +62,8 @@ MOST_LETTERS = 160
 
 def numbers_of(finding: AnyResult) -> Pairs:
     """Return label and text of all numbers of a result but the main one."""
-    texts = ((row.label.title, row_text(row)) for row in rows(finding, frozenset({finding.main_field})))
+    listed = rows(finding, frozenset({finding.main_field}))
+    texts = ((row.label.title, row_text(row).replace(" um", "\u202fµm")) for row in listed)
     return tuple((title, text) for title, text in texts if text and len(text) <= MOST_LETTERS)
 
 

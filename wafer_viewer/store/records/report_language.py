@@ -17,7 +17,7 @@ from wafer_viewer.model.report import Language, Report, ReportSection
 TABLE = Path(__file__).with_name("report_texts.toml")
 """A table for each language: English texts, with {} for what is put in, and their translations in the same order."""
 DECIMAL_SIGNS: dict[Language, str] = {"de": ","}
-SEPARATORS = (" · ", ". ", "; ", ": ", ", ", " ± ")
+SEPARATORS = (" → ", " · ", ". ", "; ", ": ", ", ", " ± ")
 """Marks between parts of a text that are translated one by one, the strongest first."""
 _AS_THEY_ARE = frozenset({"url", "logo", "right", "word", "paper", "language", "number", "names", "letterhead"})
 _DRAWN = frozenset({"svg", "picture", "profile", "drawn"})
