@@ -49,6 +49,8 @@ COMMANDS: dict[str, CommandEntry] = {
         "defects", "the defects of a patterned wafer, with a status by limits for each die"
     ),
     "measure difference": CommandEntry("measure", "the difference of two results kept, with its uncertainty"),
+    "measure template": CommandEntry("templates", "the kept results of a dataset as a template for other surfaces"),
+    "measure apply": CommandEntry("templates", "what a template measures, on many surfaces, in one table"),
     "measure verdict": CommandEntry("acquisition", "whether a wafer is good by the features of its job"),
     "calibrate delay": CommandEntry("calibration", "find the delay from the pulse to the exposure on the rig"),
     "calibrate pixel": CommandEntry("calibration", "find the pixel size and the camera's rotation on the rig"),

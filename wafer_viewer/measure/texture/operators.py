@@ -60,7 +60,7 @@ def operated(z_um: Floats, pixel_um: float, options: TextureOptions) -> Iterator
     left = z_um - np.nanmean(z_um)
     if options.spikes == "remove":
         spikes = spikes_of(left)
-        left = np.where(spikes, np.nan, left)
+        left = np.asarray(np.where(spikes, np.nan, left), np.float64)
         yield f"spikes, {np.count_nonzero(spikes)} points", left - np.nanmean(left)
     left = _without_form(left, options.form_order)
     if options.s_filter_um is not None:
@@ -72,7 +72,8 @@ def operated(z_um: Floats, pixel_um: float, options: TextureOptions) -> Iterator
         left = left - gaussian_mean(left, options.l_filter_um / pixel_um)
         yield f"L {options.l_filter_um:g} um", left - np.nanmean(left)
     if options.borders == "cut":
-        left = np.where(_beyond_border(np.isfinite(left), longest_um(options) / 2 / pixel_um), left, np.nan)
+        inner = _beyond_border(np.isfinite(left), longest_um(options) / 2 / pixel_um)
+        left = np.asarray(np.where(inner, left, np.nan), np.float64)
         if np.count_nonzero(np.isfinite(left)) < MIN_POINTS:
             raise MeasureError("Without its borders too little of the face is left: draw it larger, or keep them.")
         yield "borders cut", left - np.nanmean(left)

@@ -425,6 +425,7 @@ else:
         },
         frozen=True,
         kw_only=True,
+        omit_defaults=True,
     )
 
 

@@ -15,7 +15,8 @@ import msgspec
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.store.io.atomic_files import atomic_write, natural_sort_key
-from wafer_viewer.store.tables.csv_tables import TableWriter
+from wafer_viewer.store.tables.csv_tables import TableWriter, without_apostrophe
+from wafer_viewer.store.tables.workbook import WORKBOOK, write_workbook
 
 Work = Callable[[Path], Any]
 DONE, FAILED = "done", "failed"
@@ -60,7 +61,7 @@ def run_batch(
     work : callable
         Receives a path. What it returns fills the columns: a mapping, a measured result, or None.
     table : str or Path, optional
-        CSV file. Default: no table is written.
+        CSV file, or Excel file (.xlsx) with the CSV beside it. Default: no table is written.
     name : str, optional
         Words of the work, which tell one task from another in the table.
     again : bool, default False
@@ -83,7 +84,8 @@ def run_batch(
         If there is no source, or the table is not one of a batch or cannot be written.
     """
     paths = expanded(sources)
-    out = None if table is None else Path(table)
+    wanted = None if table is None else Path(table)
+    out = wanted if wanted is None or wanted.suffix != WORKBOOK else wanted.with_suffix(".csv")
     known = {} if out is None or not out.exists() else _read(out)
     rows: dict[str, Mapping[str, Any]] = dict(known)
     done = failed = kept = 0
@@ -105,6 +107,10 @@ def run_batch(
             _write(out, list(rows.values()))
         told(row)
     progress(1.0)
+    if wanted is not None and wanted != out:
+        columns = _columns(list(rows.values()))
+        lines = ([row.get(column, "") for column in columns] for row in rows.values())
+        write_workbook(wanted, "Results", columns, lines)
     return BatchReport(done, failed, kept, stopped, tuple(rows[str(path)] for path in paths if str(path) in rows))
 
 
@@ -158,7 +164,7 @@ def output_names(paths: Sequence[Path], folder: Path, ending: str) -> dict[Path,
 def _is_done(before: Mapping[str, Any], name: str, stamp: str) -> bool:
     """Return whether a line of the table is that of the same work on the unchanged source, with its output there."""
     same = (before.get("status"), before.get("work", ""), before.get("stamp")) == (DONE, name, stamp)
-    return same and ("output" not in before or Path(before["output"]).exists())
+    return same and (not before.get("output") or Path(before["output"]).exists())
 
 
 def _worked_on(path: Path, work: Work) -> dict[str, Any]:
@@ -211,12 +217,16 @@ def _read(table: Path) -> dict[str, Mapping[str, Any]]:
         raise DatasetError(f"{table} cannot be read as the table of a batch: choose another --table.") from fault
     if lines and not set(_FIXED) <= set(lines[0]):
         raise DatasetError(f"{table} is no table of a batch: choose another --table.")
-    return {line["source"]: {key: value for key, value in line.items() if key and value} for line in lines}
+    return {line["source"]: {without_apostrophe(key): value for key, value in line.items() if key} for line in lines}
+
+
+def _columns(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    numbers = dict.fromkeys(key for row in rows for key in row if key not in _FIXED)
+    return [*_FIXED[:4], *numbers, *_FIXED[4:]]
 
 
 def _write(table: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    numbers = dict.fromkeys(key for row in rows for key in row if key not in _FIXED)
-    columns = [*_FIXED[:4], *numbers, *_FIXED[4:]]
+    columns = _columns(rows)
     text = io.StringIO()
     writer = TableWriter(text)
     writer.writerow(columns)

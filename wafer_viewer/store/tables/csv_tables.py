@@ -57,6 +57,11 @@ def _harmless(cell: object) -> object:
     return f"'{text}" if _FORMULA.match(text) else text
 
 
+def without_apostrophe(text: str) -> str:
+    """Return a text as it was before it was made harmless for spreadsheets."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text[1:]) else text
+
+
 def findings_csv(findings: MeasurementResults) -> str:
     """Return the table; U is expanded (95 %). x_um, y_um: centre of the first region; show 0: entire surface."""
     text = io.StringIO()
