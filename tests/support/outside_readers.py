@@ -169,6 +169,7 @@ def _settings(folder: Path) -> list[OutsideReader]:
         OutsideReader("virtual rig", copied("rigs/virtual_wafer.toml"), read_config),
         OutsideReader("recipe", copied("recipes/paper.toml"), lambda path: read_recipe(str(path))),
         OutsideReader("certificate", copied("gauge/step.toml"), read_certificate),
+        OutsideReader("DCC", copied("gauge/virtual-blocks.xml"), read_certificate),
         OutsideReader("defect recipe", recipe, read_defect_recipe),
     ]
 

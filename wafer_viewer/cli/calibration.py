@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,12 +39,15 @@ from wafer_viewer.model.spec import replace
 
 Studies = Annotated[Positional[tuple[Path, ...]], arg(metavar="STUDY.csv|DATASET ...")]
 Serials = Annotated[tuple[str, ...], arg(metavar="NUMBER ...")]
+Day = Annotated[datetime.date | None, arg(metavar="YYYY-MM-DD")]
 Value = Annotated[float | None, arg(metavar="X")]
 
 
 def measure_gauge(
     src: Sources = (),
     certificate: File = None,
+    expires: Day = None,
+    blocks: Serials = (),
     limit_um: Value = None,
     upper: Rectangle | None = None,
     lower: Rectangle | None = None,
@@ -65,7 +69,9 @@ def measure_gauge(
 
     Args:
         src: Datasets NAME.wafer or surface files, .npz.
-        certificate: The blocks' certificate, .toml.
+        certificate: The blocks' certificate: .toml, or .xml of the laboratory (DCC).
+        expires: Last day of a DCC that does not state one.
+        blocks: Serial numbers of the two blocks of a DCC with more.
         limit_um: The largest error allowed.
         upper: Two opposite corners of the upper face; both faces are found by default.
         lower: The same of the lower face.
@@ -81,6 +87,7 @@ def measure_gauge(
         result: Name of the reconstruction.
     """
     from wafer_viewer.session.gauge.headless import check_sources, history, sign_sources
+    from wafer_viewer.store.records.calibration_records import read_certificate
 
     terms = GaugeTerms(
         limit_um=limit_um,
@@ -97,9 +104,10 @@ def measure_gauge(
         limited = summary.chart.limit_um is not None
         return 1 if summary.chart.warnings or (limited and summary.chart.points[-1].verdict != "pass") else 0
     if certificate is None:
-        raise MeasureError("There is no check without a certificate: give --certificate FILE.toml.")
+        raise MeasureError("There is no check without a certificate: give --certificate FILE, .toml or .xml.")
+    paper = read_certificate(certificate, expires=expires, blocks=blocks)
     faces = _faces(upper, lower)
-    found, capable = check_sources(src, certificate, terms, faces, log, field, result)
+    found, capable = check_sources(src, paper, terms, faces, log, field, result)
     if sign is not None:
         found = sign_sources(found, src, sign, log, result)
     print_json({**msgspec.to_builtins(found), "capability": msgspec.to_builtins(capable)})

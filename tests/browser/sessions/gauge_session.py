@@ -41,11 +41,13 @@ class FakeGauge(Recording):
         super().__init__(GaugeController, session._done, "gauge.")
         self._session = session
 
-    def load_certificate(self, path: Path) -> Future[Certificate]:
+    def load_certificate(
+        self, path: Path, expires: datetime.date | None = None, blocks: tuple[str, ...] = ()
+    ) -> Future[Certificate]:
         from wafer_viewer.store.records.calibration_records import read_certificate
 
         try:
-            read = read_certificate(path)
+            read = read_certificate(path, expires=expires, blocks=blocks)
         except MeasureError as fault:
             return refused(fault)
         self._put(certificate=read)

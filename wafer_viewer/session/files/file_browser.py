@@ -59,7 +59,7 @@ FILE_KINDS: dict[KindName, FileKind] = {
     "images": FileKind("Images and surface files", (*IMAGE_ENDINGS, *READ), takes_folder=True, several=True),
     "plan": FileKind("Plans", (".toml",)),
     "job": FileKind("Released jobs", (".toml",)),
-    "certificate": FileKind("Certificates", (".toml",)),
+    "certificate": FileKind("Certificates", (".toml", ".xml")),
     "klarf": FileKind("KLARF files", (".klarf", ".klf", ".kla", ".txt", *(f".{n:03d}" for n in range(10)))),
     "wafers": FileKind("Datasets", (DATASET_ENDING,), takes_folder=True),
     "surface": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),

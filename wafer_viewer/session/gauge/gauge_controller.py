@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -72,11 +73,14 @@ class GaugeController:
             self._show(certificate=certificate, repeats=(), faces=None, signed=None)
 
     @command
-    def load_certificate(self, path: Path) -> Certificate:
-        """Load the certificate in a TOML file. Raises MeasureError if it lacks what a check needs."""
+    def load_certificate(self, path: Path, expires: date | None = None, blocks: tuple[str, ...] = ()) -> Certificate:
+        """Load the certificate in a TOML or XML file. Raises MeasureError if it lacks what a check needs.
+
+        expires, blocks: last day and blocks of an XML file (DCC) that does not settle them.
+        """
         from wafer_viewer.store.records.calibration_records import read_certificate
 
-        certificate = read_certificate(Path(path))
+        certificate = read_certificate(Path(path), expires=expires, blocks=blocks)
         self.put_certificate.run(certificate)
         return certificate
 

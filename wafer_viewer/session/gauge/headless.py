@@ -17,7 +17,7 @@ from wafer_viewer.session.state.inspection_state import Faces
 from wafer_viewer.session.surface.headless import is_dataset
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
-from wafer_viewer.store.records.calibration_records import read_certificate, sign
+from wafer_viewer.store.records.calibration_records import sign
 
 
 class History(Spec, frozen=True, kw_only=True):
@@ -32,7 +32,7 @@ class History(Spec, frozen=True, kw_only=True):
 
 def check_sources(
     src: Sequence[Path],
-    certificate_file: Path,
+    certificate: Certificate,
     terms: GaugeTerms,
     faces: Faces | None,
     log: Path | None,
@@ -43,7 +43,6 @@ def check_sources(
 
     Raises MeasureError if one of them cannot be checked, or if they are of several rigs.
     """
-    certificate = read_certificate(certificate_file)
     rigs = dict.fromkeys(_rig(path) for path in src)
     if len(rigs) > 1:
         raise MeasureError(f"The scans are of several rigs ({', '.join(rigs)}): check one at a time.")

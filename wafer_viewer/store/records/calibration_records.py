@@ -5,7 +5,8 @@ The newest change applies to the rig's next scans, unless the rig itself has a n
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import datetime
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,6 +18,7 @@ from wafer_viewer.model.spec import Spec, decode, replace
 from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors
 from wafer_viewer.store.io.checksums import load_json, save_json
 from wafer_viewer.store.io.guarded_reading import read_content
+from wafer_viewer.store.records.dcc_certificate import certificate_of_dcc
 from wafer_viewer.store.records.signed_log import append_record, read_log
 
 # -------------------------------------------------------------------------------------------------------- gauge records
@@ -55,13 +57,18 @@ def calibration_in_force(folder: Path, rig: str, own: Calibration | None) -> Cal
     return fit[-1] if fit else own
 
 
-def read_certificate(path: Path) -> Certificate:
+def read_certificate(path: Path, *, expires: datetime.date | None = None, blocks: Sequence[str] = ()) -> Certificate:
     """Read the calibration certificate of gauge blocks.
 
     Parameters
     ----------
     path : Path
-        TOML file with the fields of `Certificate`, lengths in um at 20 C.
+        TOML file with the fields of `Certificate`, lengths in um at 20 C; or XML file of the laboratory, a digital
+        calibration certificate (DCC [3]_), whose lengths, U, k and serial numbers are taken.
+    expires : datetime.date, optional
+        Last day of a DCC, which need not state one. Default None: by the interval that it states.
+    blocks : sequence of str, optional
+        Serial numbers of the two blocks of a DCC with more. Default (): the file has two blocks, or a step.
 
     Returns
     -------
@@ -71,15 +78,18 @@ def read_certificate(path: Path) -> Certificate:
     Raises
     ------
     MeasureError
-        When the file cannot be read, is no valid TOML, has an unknown or invalid field, or lacks data that a check
-        needs.
+        When the file cannot be read, is no valid TOML or DCC, has an unknown or invalid field, or lacks data that a
+        check needs; of a DCC the element is named.
 
     References
     ----------
     .. [1] ISO 3650, Geometrical Product Specifications (GPS) - Length standards - Gauge blocks.
     .. [2] ISO 1, Geometrical product specifications (GPS) - Standard reference temperature for the specification of
        geometrical and dimensional properties.
+    .. [3] Physikalisch-Technische Bundesanstalt, Digital Calibration Certificate, https://www.ptb.de/dcc.
     """
+    if path.suffix.lower() == ".xml":
+        return certificate_of_dcc(read_content(path, MeasureError), path.name, expires, blocks)
     return decode(read_content(path, MeasureError), Certificate, path.name)
 
 

@@ -68,8 +68,13 @@ class _Form(Spec, frozen=True, kw_only=True):
             nominal_um=self.nominal_um or self.step_um,
             value_um=self.step_um,
             expanded_um=self.expanded_um,
-            serial_numbers=tuple(part.strip() for part in self.serials.split("/") if part.strip()),
+            serial_numbers=self.named_blocks,
         )
+
+    @property
+    def named_blocks(self) -> tuple[str, ...]:
+        """Serial numbers of the blocks."""
+        return tuple(part.strip() for part in self.serials.split("/") if part.strip())
 
 
 def certificate_dialog(page: Page) -> None:
@@ -82,7 +87,7 @@ def certificate_dialog(page: Page) -> None:
         return [
             *here.files(),
             here.upload(),
-            Html(html.head("Or type it in")),
+            Html(html.head("Or type it in", "Of a DCC: what it leaves open")),
             row("serials", "number"),
             row("step_um", "expanded_um"),
             *form(here.own, here.put, "nominal_um", "laboratory"),
@@ -93,9 +98,13 @@ def certificate_dialog(page: Page) -> None:
         if here.is_empty:
             page.session.gauge.put_certificate(here.own.certificate()).result(WAIT_S)
         else:
-            page.session.gauge.load_certificate(here.path()).result(WAIT_S)
+            typed = here.own  # what still stands there of the certificate before is none of the new file
+            expires = _date("expiry", typed.expires) if typed.expires not in ("", own.expires) else None
+            named = typed.named_blocks if typed.serials != own.serials else ()
+            page.session.gauge.load_certificate(here.path(), expires, named).result(WAIT_S)
 
-    title, below = "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml."
+    title = "Certificate of the gauge blocks"
+    below = "A DCC of the laboratory (.xml), or a TOML file such as assets/gauge/step.toml."
     answer = Confirm("Use certificate", viser.Icon.CERTIFICATE, take, NO_CERTIFICATE)
     own = _Form.of(page.session.snapshot.gauge.certificate)
     FileDialog(page, title, below, answer, "certificate", own, contents, rows=3)
