@@ -97,11 +97,11 @@ from .session.calibration.headless import accept_calibration as accept_calibrati
 from .session.calibration.headless import run_calibration as run_calibration
 from .session.files.batch import BatchReport as BatchReport
 from .session.files.batch import run_batch as run_batch
+from .session.files.template import apply_template as apply_template
+from .session.files.template import read_template as read_template
+from .session.files.template import template_of as template_of
+from .session.files.template import write_template as write_template
 from .session.gauge.repeat_scans import studies_of as studies_of
-from .session.measurement.template import apply_template as apply_template
-from .session.measurement.template import read_template as read_template
-from .session.measurement.template import template_of as template_of
-from .session.measurement.template import write_template as write_template
 from .session.reporting.conformance_report import verify_conformance as verify_conformance
 from .session.reporting.conformance_report import write_conformance as write_conformance
 from .session.session import Session as Session

@@ -26,7 +26,7 @@ def measure_template(
         places_from: Zero of the places: the stage, or the lower left corner of each surface.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.measurement.template import template_of, write_template
+    from wafer_viewer.session.files.template import template_of, write_template
 
     template = template_of(dataset, result=result, places_from=places_from)
     write_template(template, out)
@@ -49,7 +49,7 @@ def measure_apply(
         again: Also measure what the table has as done.
         result: Name of the reconstruction of datasets.
     """
-    from wafer_viewer.session.measurement.template import apply_template, read_template
+    from wafer_viewer.session.files.template import apply_template, read_template
 
     def told(row: Mapping[str, Any]) -> None:
         end = f"measured in {row['seconds']} s" if row["status"] == "done" else ""

@@ -35,11 +35,34 @@ def test_each_site_has_its_range_about_its_own_plane():
     assert ranges[2] == pytest.approx(3.0, rel=0.03)
     assert max(ranges[:2] + ranges[3:]) < 1e-3
     assert found.largest.value_um == ranges[2]
-    assert (found.largest.status, found.largest.expanded_um) == ("not evaluated", None)
+    assert {site.range.status for site in found.sites if site.range is not None} == {"evaluated"}
     assert found.sites[0].x_um < found.sites[1].x_um
     assert found.sites[0].y_um > found.sites[3].y_um
     assert any("as mounted" in note for note in found.notes)
     assert any("1 site with less" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_u_covers_what_noise_adds_to_the_range_of_a_site():
+    x_um, y_um = np.meshgrid(*coordinates(100, 100))
+    bowl = 4e-4 * ((x_um - x_um.mean()) ** 2 + (y_um - y_um.mean()) ** 2)
+    flat = site_ranges(surface_of(bowl, calibration=calibration()), (SITE_UM, SITE_UM)).largest.value_um
+    covered = []
+    for seed in range(20):
+        noisy = bowl + np.random.default_rng(seed).normal(0, 0.02, bowl.shape)
+        found = site_ranges(surface_of(noisy, calibration=calibration()), (SITE_UM, SITE_UM)).largest
+        covered.append(0.25 * found.expanded_um < abs(found.value_um - flat) < found.expanded_um)
+    assert sum(covered) >= 18
+
+
+def test_of_very_many_sites_the_largest_alone_has_u():
+    z_um = np.random.default_rng(1).normal(0, 0.02, (330, 330))
+    side_um = 15 * PIXEL_UM
+    found = site_ranges(surface_of(z_um, calibration=calibration()), (side_um, side_um))
+    assert len(found.sites) > 400
+    assert {site.range.status for site in found.sites} == {"not evaluated"}
+    assert found.largest.status == "evaluated"
+    assert "Of more than 400 sites the largest range alone has U." in found.notes
 
 
 @pytest.mark.parametrize(

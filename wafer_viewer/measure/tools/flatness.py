@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
@@ -79,14 +81,14 @@ def flatness(
     _, left = least_squares_plane(area.points)
     low, high = np.percentile(left, BAND)
     zone_um, total_um, rms_um = minimum_zone(area.points, left), float(np.ptp(left)), float(np.sqrt(np.mean(left**2)))
-    noise = _noise_um(area) if reading.calibrated else {}
+    noise = noise_of_form(area, minimum_zone) if reading.calibrated else {}
     return Flatness(
         **reading.result_fields(name, area.level, EXTREMES, *reading.not_in_budget()),
         region=region,
         reference="least_squares",
-        flt_t=reading.length(total_um, _lines(reading, total_um, noise.get("t"))),
-        flt_t_minimum_zone=reading.length(zone_um, _lines(reading, zone_um, noise.get("zone"))),
-        flt_q=reading.length(rms_um, _lines(reading, rms_um, noise.get("q"))),
+        flt_t=reading.length(total_um, form_lines(reading, total_um, noise.get("t"))),
+        flt_t_minimum_zone=reading.length(zone_um, form_lines(reading, zone_um, noise.get("zone"))),
+        flt_q=reading.length(rms_um, form_lines(reading, rms_um, noise.get("q"))),
         band_9973_um=float(high - low),
         points=len(area.points),
         measured_fraction=area.measured_fraction,
@@ -114,8 +116,11 @@ def minimum_zone(points: HeightSamples, left_um: Floats) -> float:
     return float(found.fun) * height_um
 
 
-def _noise_um(area: Area) -> dict[str, Scatter]:
-    """Return the standard uncertainties of FLTt, of the minimum zone and of FLTq due to noise; empty if unknown."""
+def noise_of_form(area: Area, zone: Callable[[HeightSamples, Floats], float] | None = None) -> dict[str, Scatter]:
+    """Return the standard uncertainties of FLTt, of the minimum zone and of FLTq due to noise; empty if unknown.
+
+    zone: function of points and residuals for the minimum zone; None leaves it out.
+    """
     z_um, step = thinned(lattice_of(area))
     covariance = scatter_covariance(z_um)
     rows, cols = np.indices(z_um.shape) * step * area.pixel_um
@@ -125,12 +130,13 @@ def _noise_um(area: Area) -> dict[str, Scatter]:
         points = HeightSamples(*(each[known].astype(np.float64) for each in (cols, rows, noisy_um)))
         _, left = least_squares_plane(points)
         total, rms = float(np.ptp(left)), float(np.sqrt(np.mean(left**2)))
-        return {"t": total, "zone": minimum_zone(points, left), "q": rms}
+        return {"t": total, "q": rms} | ({} if zone is None else {"zone": zone(points, left)})
 
     return {} if covariance is None else noise_lines(evaluate, z_um, covariance, ("t", "zone"))
 
 
-def _lines(reading: MeasurementContext, value_um: float, noise_um: Scatter | None) -> Lines | None:
+def form_lines(reading: MeasurementContext, value_um: float, noise_um: Scatter | None) -> Lines | None:
+    """Return the budget lines of a deviation of form; None where the noise is not known."""
     if noise_um is None:
         return None
     calibration = reading.surface.provenance.calibration

@@ -7,9 +7,11 @@ import numpy as np
 from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.plane_faces import area_of, least_squares_plane
+from wafer_viewer.measure.base.plane_faces import Area, area_of, least_squares_plane
+from wafer_viewer.measure.tools.flatness import form_lines, noise_of_form
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Site, SiteRanges
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
 
@@ -20,7 +22,9 @@ REFUSED = {
     "ttv": f"TTV is the total variation {THICKNESS}.",
     "gbir": f"GBIR is the range over the back side, {THICKNESS}.",
     "sbir": f"SBIR is the range in a site over the back side, {THICKNESS}.",
+    "ltv": f"LTV is the local variation {THICKNESS}.",
     "sfqr": "SFQR holds for a back side drawn flat by an ideal chuck, and this map has the front side as it lay.",
+    "esfqr": "ESFQR holds for a back side drawn flat by an ideal chuck, and this map has the front side as it lay.",
     "warp": f"Warp is {FREE}.",
     "bow": f"Bow is {FREE}.",
     "sori": "Sori is of the front side of a wafer lying free, and this one lay on its chuck.",
@@ -28,11 +32,15 @@ REFUSED = {
 """SEMI terms that cannot be measured here, with the reason."""
 MOST_SITES = 10_000
 """Largest number of sites of a lattice."""
+MOST_WITH_U = 400
+"""Largest number of sites that all get an uncertainty, which takes up to a quarter of a second each."""
 QUARTER = 0.25
 """Default size of a site, relative to the region's sides."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 AS_MOUNTED = "Front-surface site range, as mounted: highest over lowest about each site's plane of least squares."
+NOISE_WIDENS = "Noise and single false heights widen the range. It is not corrected for them; U covers the noise."
+LARGEST_ALONE = f"Of more than {MOST_WITH_U} sites the largest range alone has U."
 NO_OTHER = "The wafer's chuck is in it, its thickness is not: no SFQR, no SBIR."
 
 
@@ -71,8 +79,9 @@ def site_ranges(
     Returns
     -------
     SiteRanges
-        Range of each site in um, row by row from the top left, and the largest one, without uncertainty: noise widens
-        extremes. A site with less than half of its area or fewer than 200 points measured has no range.
+        Range of each site in um, row by row from the top left, and the largest one, with U: noise widens extremes, is
+        not taken off, and U covers it. Of more than 400 sites the largest range alone has U. A site with less than half
+        of its area or fewer than 200 points measured has no range.
 
     Raises
     ------
@@ -96,10 +105,22 @@ def site_ranges(
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     within = region or Region.rectangle(*_bounds_um(surface))
     boxes, rows, cols = _lattice(site_um, within.bounds_um)
-    sites = tuple(_site(reading, box.without(*within.excluded)) for box in boxes)
-    ranges = [site.range for site in sites if site.range is not None]
-    if not ranges:
-        raise MeasureError(f"None of {len(sites)} sites has half of its area measured: choose a region that has.")
+    areas = [_area(reading, box.without(*within.excluded)) for box in boxes]
+    ranges_um = [None if area is None else float(np.ptp(least_squares_plane(area.points)[1])) for area in areas]
+    measured = [(area, found) for area, found in zip(areas, ranges_um, strict=True) if area and found is not None]
+    if not measured:
+        raise MeasureError(f"None of {len(boxes)} sites has half of its area measured: choose a region that has.")
+    largest = _range(reading, *max(measured, key=lambda site: site[1]))
+    few = len(measured) <= MOST_WITH_U
+    sites = tuple(
+        Site(
+            x_um=sum(box.bounds_um[::2]) / 2,
+            y_um=sum(box.bounds_um[1::2]) / 2,
+            range=None if area is None or found is None else _range(reading, area, found, with_u=few),
+            measured_fraction=0.0 if area is None else area.measured_fraction,
+        )
+        for box, area, found in zip(boxes, areas, ranges_um, strict=True)
+    )
     return SiteRanges(
         region=within,
         site_width_um=site_um[0],
@@ -107,11 +128,16 @@ def site_ranges(
         rows=rows,
         cols=cols,
         sites=sites,
-        largest=max(ranges, key=lambda length: length.value_um),
+        largest=largest,
         surface=reading.layer,
         levelling=levelling_of(surface),
         simulated=surface.provenance.simulated,
-        notes=(AS_MOUNTED, NO_OTHER, *_left_out(len(sites) - len(ranges))),
+        notes=(
+            *(AS_MOUNTED, NO_OTHER, NOISE_WIDENS),
+            *(() if few else (LARGEST_ALONE,)),
+            *_left_out(len(sites) - len(measured)),
+            *(reading.not_in_budget() if reading.calibrated else ()),
+        ),
     )
 
 
@@ -154,15 +180,17 @@ def _lattice(site_um: tuple[float, float], bounds_um: Box) -> tuple[list[Region]
     return boxes, rows, cols
 
 
-def _site(reading: MeasurementContext, box: Region) -> Site:
-    x0, y0, x1, y1 = box.bounds_um
+def _area(reading: MeasurementContext, box: Region) -> Area | None:
+    """Return the measured points of a site; None where less than half of it is measured."""
     try:
-        area = area_of(reading, box, "site", "its range")
+        return area_of(reading, box, "site", "its range")
     except MeasureError:
-        return Site(x_um=(x0 + x1) / 2, y_um=(y0 + y1) / 2, range=None)
-    _, left = least_squares_plane(area.points)
-    found = reading.length(float(np.ptp(left)), None)
-    return Site(x_um=(x0 + x1) / 2, y_um=(y0 + y1) / 2, range=found, measured_fraction=area.measured_fraction)
+        return None
+
+
+def _range(reading: MeasurementContext, area: Area, range_um: float, with_u: bool = True) -> Length:
+    noise = noise_of_form(area) if with_u and reading.calibrated else {}
+    return reading.length(range_um, form_lines(reading, range_um, noise.get("t")))
 
 
 def _left_out(n: int) -> tuple[str, ...]:
