@@ -127,7 +127,7 @@ def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
     assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")
     assert (reported.word, reported.beside) == ("inconclusive", "Coupon B · Calibrate.")
-    assert reported.sentences[0] == "0 of 1 features conform to the limits given."
+    assert reported.sentences[0] == "0 of 1 feature conforms to the limits given."
     assert reported.sentences[1].endswith("U (about 95 %) is taken off every limit (ISO 14253-1).")
     assert reported.sentences[2:] == ("die: No uncertainty.",)
     assert "<svg" in reported.table.drawn[0]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,8 @@ def marked_map_svg(
         Markup('<path d="{}" fill="none" stroke="{}"/>').format(axes.frame(), EDGE),
         axes.labels_svg(),
         Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="end">x, y in µm</text>').format(right, foot + 29),
-        *(_marked(axes, mark) for mark in marks),
+        *(_outlined(axes, mark.regions) for mark in marks),
+        *_badges(axes, marks, right),
         _scale_bar(foot, per_um, wide_um),
         _colour_bar(right + 22, foot, key),
     ]
@@ -71,17 +73,35 @@ def marked_map_svg(
     ).format(right + _KEY_PX, foot + _FOOT_PX, SECOND, Markup("").join(parts))
 
 
-def _marked(axes: ChartAxes, mark: Mark) -> Markup:
-    """Return the outlines of a place, white with a dark rim so that they stand out of any picture, and its number."""
-    boxes = [region.bounds_um for region in mark.regions]
-    at_x, at_y = (axes.x.at(min(box[0] for box in boxes)), axes.y.at(max(box[3] for box in boxes)))
-    return _outlined(axes, mark.regions) + Markup(
-        '<circle cx="{0:.1f}" cy="{1:.1f}" r="{2}" fill="{3}" stroke="{4}" stroke-width="1.2"/>'
-        '<text x="{0:.1f}" y="{5:.1f}" text-anchor="middle" font-size="9" font-weight="650" fill="{4}">{6}</text>'
-    ).format(at_x, at_y, _BADGE_PX, INK, PAPER, at_y + 3.2, mark.label)
+def _badges(axes: ChartAxes, marks: Sequence[Mark], right: float) -> Iterator[Markup]:
+    """Yield the numbers of the places, each at its upper left corner, or beside numbers that stand there already."""
+    taken: list[tuple[float, float]] = []
+    for mark in marks:
+        boxes = [region.bounds_um for region in mark.regions]
+        x, y = (axes.x.at(min(box[0] for box in boxes)), axes.y.at(max(box[3] for box in boxes)))
+        if all(region.kind == "point" for region in mark.regions):
+            x, y = x - _BADGE_PX, y - 1.2 * _BADGE_PX  # beside the cross
+        x, y = _free_place(x, y, taken, right)
+        taken.append((x, y))
+        yield Markup(
+            '<circle cx="{0:.1f}" cy="{1:.1f}" r="{2}" fill="{3}" stroke="{4}" stroke-width="1.2"/>'
+            '<text x="{0:.1f}" y="{5:.1f}" text-anchor="middle" font-size="9" font-weight="650" fill="{4}">{6}</text>'
+        ).format(x, y, _BADGE_PX, INK, PAPER, y + 3.2, mark.label)
+
+
+def _free_place(x: float, y: float, taken: Sequence[tuple[float, float]], right: float) -> tuple[float, float]:
+    """Return the first place from (x, y) to the right, then row by row above, that no badge covers."""
+    step, first = 2 * _BADGE_PX + 1.5, x
+    while any(math.hypot(x - other_x, y - other_y) < step - 0.1 for other_x, other_y in taken):
+        x += step
+        if x > right:
+            x, y = first, y - step
+    return x, y
 
 
 def _outlined(axes: ChartAxes, regions: Sequence[Region], colour: str = PAPER, rim: str = INK) -> Markup:
+    """Return the outlines of a place, white with a dark rim so that they stand out of any picture."""
+    regions = [*regions, *(hole for region in regions for hole in region.excluded)]
     outlines = " ".join(_outline(axes, region) for region in regions)
     return Markup(
         '<path d="{0}" fill="none" stroke="{1}" stroke-width="3.4"/>'

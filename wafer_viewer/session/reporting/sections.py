@@ -83,7 +83,8 @@ def features(material: Material) -> ReportSection:
 def conformity(judged: WaferVerdict) -> Iterator[str]:
     """Yield how many features conform, and by which decision rule."""
     n, passed = len(judged.items), sum(item.word == "pass" for item in judged.items)
-    yield f"{passed} of {n} features conform to the limits given."
+    conform = "feature conforms" if n == 1 else "features conform"
+    yield f"{passed} of {n} {conform} to the limits given."
     rules: list[DecisionRule] = [item.feature.decision_rule for item in judged.items]
     for rule in dict.fromkeys(rules):
         of_rule = [f"F{k}" for k, each in enumerate(rules, 1) if each == rule]
