@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import typing
 
 import pytest
 
@@ -10,8 +11,9 @@ from tests.session.reporting.test_report_contents import RESULT
 from tests.session.reporting.test_report_contents import dataset as dataset
 from tests.support.gauge_repeats import signed
 from wafer_viewer.cli.app import main
-from wafer_viewer.draw.quantities import setting_text
+from wafer_viewer.draw.quantities import setting_text, settings_text
 from wafer_viewer.measure.base import measurement_context
+from wafer_viewer.measure.tools import site_range
 from wafer_viewer.model.measurement.result_rows import labels_of
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
@@ -61,6 +63,34 @@ def test_no_text_of_a_report_of_everything_is_left_in_english(report):
 def test_every_title_has_a_translation(texts):
     translation = Translation("de")
     for text in texts:
+        translation.text(text)
+    assert sorted(translation.unknown) == []
+
+
+def choices_of(kind):
+    """Return the choices of the fields of a struct as the report words them."""
+    hints = typing.get_type_hints(kind)
+    for name in kind.__struct_fields__:
+        for hint in (hints[name], *typing.get_args(hints[name])):
+            if typing.get_origin(hint) is typing.Literal and labels_of(kind)[name].listed:
+                yield from (value.replace("_", " ") for value in typing.get_args(hint) if isinstance(value, str))
+
+
+def test_every_choice_of_a_tool_and_its_results_has_a_translation():
+    kinds = [kind for tool in TOOLS.values() for kind in (tool.options, tool.result) if kind is not None]
+    translation = Translation("de")
+    for kind in kinds:
+        for text in choices_of(kind):
+            translation.text(text)
+    for kind in filter(None, (tool.options for tool in TOOLS.values())):
+        translation.text(settings_text(kind()))
+    assert sorted(translation.unknown) == []
+
+
+def test_every_note_on_sites_has_a_translation():
+    translation = Translation("de")
+    notes = (site_range.AS_MOUNTED, site_range.NO_OTHER, site_range.NOISE_WIDENS, site_range.LARGEST_ALONE)
+    for text in (*notes, *site_range._left_out(1), *site_range._left_out(3)):
         translation.text(text)
     assert sorted(translation.unknown) == []
 
