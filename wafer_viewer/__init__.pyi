@@ -56,6 +56,8 @@ from .model.inspection.defect import DefectRecipe as DefectRecipe
 from .model.inspection.defect import die_bins as die_bins
 from .model.inspection.defect import verdict_of as verdict_of
 from .model.inspection.die_grid import DieGrid as DieGrid
+from .model.inspection.klarf import KlarfExport as KlarfExport
+from .model.inspection.wafer_map import WaferMap as WaferMap
 from .model.job import Job as Job
 from .model.measurement.measurements import AreaVolume as AreaVolume
 from .model.measurement.measurements import Chipping as Chipping
@@ -122,6 +124,7 @@ from .store.records.golden_dies import save_golden as save_golden
 from .store.records.inspection_records import read_defect_recipe as read_defect_recipe
 from .store.records.inspection_records import save_defect_recipe as save_defect_recipe
 from .store.tables.klarf import read_klarf as read_klarf
-from .store.tables.klarf import write_klarf as write_klarf
+from .store.tables.klarf_writer import write_klarf as write_klarf
 from .store.tables.training_set import write_training_set as write_training_set
 from .store.tables.wafer_map import write_wafer_map as write_wafer_map
+from .store.tables.wafer_map_reader import read_wafer_map as read_wafer_map

@@ -38,6 +38,15 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     opened.close()
 
 
+def state_wafer(page: Page) -> None:
+    """Type what a KLARF states into the dialog that exports it."""
+    for name, value in (("Wafer centre x, µm", "0"), ("Wafer centre y, µm", "0"), ("Diameter, mm", "300")):
+        type_into(page, name, value)
+    type_into(page, "Process step", "METAL2")
+    page.get_by_role("dialog").get_by_label("Notch").click()
+    page.get_by_role("option").filter(has_text="Down").click()
+
+
 def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Session, page: Page):
     folder, dialog = session.snapshot.data_folder, page.get_by_role("dialog")
     page.keyboard.press("Shift+R")
@@ -63,6 +72,9 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     expect(dialog).to_contain_text("It cannot hold U")
     expect(text_field(page, "File name")).to_have_value("w7-defects.klarf")
     path = folder / "w7-defects.klarf"
+    dialog.get_by_role("button", name="Export", exact=True).click()
+    expect(dialog).to_contain_text("A KLARF states the wafer's centre on the stage")
+    state_wafer(page)
     dialog.get_by_role("button", name="Export", exact=True).click()
     eventually(path.exists, "the KLARF is written")
     n = len(session.snapshot.inspection.inspection.found)

@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.steps import eventually, notes, press, text_field
+from tests.browser.test_defect_files import state_wafer
 from tests.support.noisy_wafer import Planted, wafer
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
@@ -83,7 +84,9 @@ def exported(page: Page, session: Session, ending: str) -> str:
     dialog = page.get_by_role("dialog")
     name = text_field(page, "File name").input_value()
     path = (session.snapshot.data_folder / name).with_suffix(ending)
-    if ending != ".klarf":
+    if ending == ".klarf":
+        state_wafer(page)
+    else:
         dialog.get_by_label("Format").click()
         page.get_by_role("option").filter(has_text="CSV, a table").click()
         expect(text_field(page, "File name")).to_have_value(path.name)

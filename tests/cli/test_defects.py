@@ -24,6 +24,7 @@ from wafer_viewer.store.tables.klarf import read_klarf
 
 WAFER = Wafer(unmeasured_fraction=0.0)
 AT_UM = (480.0, 420.0)
+LIES = ("--center-um", "0", "0", "--notch", "down", "--diameter-mm", "300", "--step", "METAL2")
 GIVEN = ("--pitch-um", "201.3", "147.7", "--origin-um", "31.7", "22.9", "--size-um", "173", "121")
 
 
@@ -57,7 +58,7 @@ def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Pat
     out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "e142", "sinf", "csv", "dies-csv", "training")}
     flags = [word for what, path in out.items() for word in (f"--{what}", path)]
     golden = ("--save-golden", str(tmp_path / "std"))
-    status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *golden, "--max-per-die", "0"])
+    status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *LIES, *golden, "--max-per-die", "0"])
     reported = json.loads(capsys.readouterr().out)
     worst = reported["inspection"]["defects"][0]
     assert (status, worst["kind"], reported["inspection"]["grid"]["by"]) == (1, "particle", "found")
@@ -90,11 +91,25 @@ def test_the_defect_is_reported_counted_and_exported(folder: Path, tmp_path: Pat
 @pytest.mark.slow
 def test_within_its_limits_the_status_is_0(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     nested = tmp_path / "w.klarf"
-    flags = ("--max-per-die", "50", "--sensitivity", "0.2", *GIVEN, "--klarf", str(nested), "--klarf-version", "1.8")
+    flags = (
+        "--max-per-die",
+        "50",
+        "--sensitivity",
+        "0.2",
+        *GIVEN,
+        "--klarf",
+        str(nested),
+        "--klarf-version",
+        "1.8",
+        *LIES,
+        "--klarf-images",
+    )
     assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 0
     reported = json.loads(capsys.readouterr().out)
     assert (reported["inspection"]["recipe"]["sensitivity"], reported["files"]) == (0.2, {"klarf": str(nested)})
-    assert read_klarf(nested).version == "1.8"
+    klarf = read_klarf(nested)
+    assert (klarf.version, klarf.step, klarf.sample_mm) == ("1.8", "METAL2", 300.0)
+    assert [d.images[0].page for d in klarf.defects] == list(range(1, len(klarf.defects) + 1))
 
 
 @pytest.mark.slow
@@ -147,6 +162,8 @@ def test_areas_that_a_recipe_names_are_left_out_and_reported(
         (("--golden", "x.golden.npz", "--against", "form"), "leave --golden or --against form out"),
         (("--other", "gone.klarf"), "gone.klarf cannot be read, it does not exist"),
         (("--max-per-die", "-1"), "max_per_die is -1: it must be at least 0"),
+        (("--klarf", "w.klarf"), "A KLARF states the wafer's centre on the stage (align the wafer, or --center-um)"),
+        (("--sinf", "w.sinf", "--max-per-die", "0"), "it is not known: give it (--notch)"),
         (("--sinf", "w.sinf"), "set max_per_die (--max-per-die), such as 0"),
     ],
 )
@@ -240,7 +257,7 @@ def test_result_is_kept_where_a_file_cannot_be_written(
     blocked = tmp_path / "a file"
     blocked.write_text("")
     table = tmp_path / "w.csv"
-    flags = ("--klarf", str(blocked / "w.klarf"), "--csv", str(table), "--max-per-die", "50")
+    flags = ("--klarf", str(blocked / "w.klarf"), "--csv", str(table), "--max-per-die", "50", *LIES)
     status = main(["measure", "defects", str(folder / "bumped.npz"), *GIVEN, *flags])
     printed = capsys.readouterr()
     reported = json.loads(printed.out)

@@ -6,16 +6,15 @@ import json
 
 import pytest
 
+from tests.support.datasets.inspections import written_klarf
 from tests.support.patterned_surface import Wafer, made
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
-from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.store.formats.npz_file import write_npz
-from wafer_viewer.store.tables.klarf import write_klarf
 
 GIVEN = ("--pitch-um", 201.3, 147.7, "--origin-um", 31.7, 22.9, "--size-um", 173, 121)
 
@@ -50,7 +49,7 @@ def test_dies_are_found_by_their_pitch_and_size_alone(surface, tmp_path, capsys)
     assert found["pitch_x_um"] == pytest.approx(Wafer().pitch_x_um, rel=5e-5)
     assert found["width_um"] == pytest.approx(172.2), "dies keep a known size"
     klarf = tmp_path / "other.klarf"
-    write_klarf(Inspection(grid=replace(Wafer().grid, cols=2, rows=2)), klarf, Sample())
+    written_klarf(Inspection(grid=replace(Wafer().grid, cols=2, rows=2)), klarf)
     assert dies_of(surface, capsys, "--job", klarf)["grid"]["pitch_y_um"] == pytest.approx(147.7, rel=5e-5)
     assert main(["measure", "dies", str(surface), "--pitch-um", "330", "260"]) == 2
     assert "look alike, so they are no whole dies" in capsys.readouterr().err

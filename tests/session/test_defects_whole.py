@@ -11,6 +11,7 @@ from tests.support.noisy_wafer import Planted, wafer
 from tests.support.patience import PATIENCE_S
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
+from wafer_viewer.model.inspection.klarf import KlarfExport
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
 from wafer_viewer.store.records.golden_dies import open_golden
@@ -46,7 +47,10 @@ def test_export_and_import_round_trip_without_loss(inspected, tmp_path: Path):
     shown = session.snapshot.inspection.inspection
     assert (shown.reference, shown.grid.by, len(shown.found) >= 2) == ("dies", "given", True)
     files = session.defects.files
-    klarf = files.write("klarf", tmp_path / "w7.klarf").result(PATIENCE_S)
+    with pytest.raises(DatasetError, match="give what is missing, nothing is assumed"):
+        files.write("klarf", tmp_path / "w7.klarf").result(PATIENCE_S)
+    stated = KlarfExport(center_x_um=0.0, center_y_um=0.0, notch="down", diameter_mm=1.0, step="etch")
+    klarf = files.write("klarf", tmp_path / "w7.klarf", stated).result(PATIENCE_S)
     assert [d.bin for d in read_klarf(klarf).defects][:2] == [1, 2]
     with files.write("csv", tmp_path / "w7.csv").result(PATIENCE_S).open() as table:
         first = next(csv.DictReader(table))

@@ -20,7 +20,7 @@ from PIL import Image
 
 from tests.rigs.stages.conftest import switch_on
 from tests.support.datasets.complete_dataset import complete_dataset
-from tests.support.datasets.inspections import defect, inspection
+from tests.support.datasets.inspections import defect, inspection, written_klarf
 from tests.support.datasets.samples import CALIBRATION, make_surface
 from tests.support.paths import ASSETS
 from tests.support.written_images import zarr_05
@@ -32,7 +32,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets.html import read_picks
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import RigError, WireError
-from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode
@@ -60,7 +60,9 @@ from wafer_viewer.store.records.calibration_records import (
 from wafer_viewer.store.records.golden_dies import open_golden, save_golden
 from wafer_viewer.store.records.inspection_records import read_defect_recipe, read_inspection, read_notebook
 from wafer_viewer.store.tables.csv_tables import read_study
-from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
+from wafer_viewer.store.tables.klarf import read_klarf
+from wafer_viewer.store.tables.wafer_map import write_wafer_map
+from wafer_viewer.store.tables.wafer_map_reader import read_wafer_map
 
 SURFACE_SUFFIXES = (".npz", ".tif", ".gsf", ".gwy", ".x3p", ".ply", ".pcd", ".csv", ".xyz")
 IMAGE_SUFFIXES = (".tif", ".png", ".jpg", ".bmp", ".pgm", ".webp")
@@ -178,8 +180,11 @@ def _tables(folder: Path) -> list[OutsideReader]:
     found = inspection(defect(1, "0,0", 100.0, 50.5), defect(2, "2,1", 7.25, 701.0, kind="pit"))
     sample = Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0)
     at = datetime.datetime(2026, 11, 22, 5, 1, 2)
-    klarf = write_klarf(found, folder / "w07.klarf", sample, at=at)
-    nested = write_klarf(found, folder / "w07_18.klarf", sample, at=at, version="1.8")
+    klarf = written_klarf(found, folder / "w07.klarf", sample, at=at)
+    nested = written_klarf(found, folder / "w07_18.klarf", sample, at=at, version="1.8")
+    limited = inspection(recipe=DefectRecipe(limits=DefectLimits(max_per_die=0)))
+    e142 = write_wafer_map(limited, folder / "w07.xml", sample)
+    sinf = write_wafer_map(limited, folder / "w07.sinf", sample, format="sinf")
     study = folder / "study.csv"
     rows = [f"{part},{who},{part + 0.1 * n}\n" for part in (1, 2, 3) for who in "AB" for n in range(3)]
     study.write_text("part,appraiser,value\n" + "".join(rows))
@@ -201,6 +206,8 @@ def _tables(folder: Path) -> list[OutsideReader]:
     return [
         OutsideReader("klarf", klarf, read_klarf),
         OutsideReader("klarf 1.8", nested, read_klarf),
+        OutsideReader("e142", e142, read_wafer_map),
+        OutsideReader("sinf", sinf, read_wafer_map),
         OutsideReader("study", study, read_study),
         OutsideReader("golden die", golden, open_golden),
         OutsideReader("planes", planes, read_planes),

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from wafer_viewer.model.inspection.klarf import Klarf, KlarfDefect
+from wafer_viewer.model.inspection.klarf import Klarf, KlarfDefect, KlarfImage
 
 CLASSES = ((0, "None"), (3, "Scratch; deep"), (8, "Größe"))
 
@@ -23,7 +23,8 @@ class DrawnKlarf:
 
 def random_klarf(rng: random.Random) -> DrawnKlarf:
     """Draw a file; every second one is damaged."""
-    klarf, nested = _contents(rng), rng.random() < 0.5
+    nested = rng.random() < 0.5
+    klarf = _contents(rng, nested)
     counted = nested or rng.random() < 0.7
     text = _nested(klarf, rng) if nested else _flat(klarf, rng, counted)
     damage = rng.choice([*DAMAGES][0 if counted else 2 :]) if rng.random() < 0.5 else ""
@@ -33,7 +34,9 @@ def random_klarf(rng: random.Random) -> DrawnKlarf:
     return DrawnKlarf(_laid_out(text, rng).encode(encoding), klarf, damage)
 
 
-def _contents(rng: random.Random) -> Klarf:
+def _contents(rng: random.Random, nested: bool) -> Klarf:
+    images = (KlarfImage(file="a;.jpg"),) if nested else (KlarfImage(file="0417_7", page=3), KlarfImage(file="0417_7"))
+    images = images if rng.random() < 0.5 else ()
     pitch_x_um, pitch_y_um = rng.randrange(1000, 9000), rng.randrange(1000, 9000)
     dies = tuple(dict.fromkeys((rng.randrange(-4, 5), rng.randrange(-4, 5)) for _ in range(rng.randrange(1, 6))))
     defects = tuple(
@@ -47,6 +50,7 @@ def _contents(rng: random.Random) -> Klarf:
             area_um2=rng.randrange(9000) / 1000,
             class_number=class_number,
             class_name=name,
+            images=images[: rng.randrange(3)],
         )
         for number, (col, row) in enumerate(rng.choices(dies, k=rng.randrange(6)), 1)
         for class_number, name in [rng.choice(CLASSES)]
@@ -71,7 +75,7 @@ def _contents(rng: random.Random) -> Klarf:
 
 def _flat(klarf: Klarf, rng: random.Random, counted: bool) -> str:
     number = rng.choice(("{:.3f}", "{:.10e}")).format
-    images = rng.random() < 0.4
+    images = any(defect.images for defect in klarf.defects)
     columns = ["DEFECTID", "XREL", "YREL", "XINDEX", "YINDEX", "DSIZE", "DEFECTAREA", "CLASSNUMBER", "TEST"]
     columns += ["IMAGECOUNT", "IMAGELIST"] if images else []
     end = rng.choice((";", ""))  # of each row
@@ -79,6 +83,7 @@ def _flat(klarf: Klarf, rng: random.Random, counted: bool) -> str:
         "FileVersion 1 2;",
         "FileTimestamp 03-14-26 09:41:07;",
         f'LotID "{klarf.lot}";',
+        "TiffFileName 0417_7;",
         f"SampleSize 1 {klarf.sample_mm:.0f};",
         f"DiePitch {number(klarf.pitch_x_um)} {number(klarf.pitch_y_um)};",
         f'WaferID "{klarf.wafer}";',
@@ -100,8 +105,8 @@ def _flat_row(defect: KlarfDefect, number: Callable[[float], str], rng: random.R
     places = f" {defect.number} {number(defect.u_um)} {number(defect.v_um)} {col} {defect.row}"
     row = f"{places} {number(defect.size_um)} {number(defect.area_um2)} {defect.class_number} {defect.test}"
     if images:
-        n = rng.randrange(3)
-        row += f" {n} {n}" + "".join(f"{rng.choice(' ' + chr(10))}{k} 0" for k in range(n))
+        n = len(defect.images)
+        row += f" {n} {n}" + "".join(f"{rng.choice(' ' + chr(10))}{image.page} 0" for image in defect.images)
     return row
 
 
@@ -121,10 +126,12 @@ def _nested(klarf: Klarf, rng: random.Random) -> str:
             + "} }"
         )
 
-    images = ("N", 'Images 1 { "a;.jpg" "JPG" 1 "Patch" }')
+    def images(defect: KlarfDefect) -> str:
+        return 'Images 1 { "a;.jpg" "JPG" 1 "Patch" }' if defect.images else "N"
+
     defects = [
         f"{d.number} {nm(d.u_um)} {nm(d.v_um)} {d.col} {d.row} {nm(d.size_um)} {d.area_um2 * 1e6:.1f} "
-        f"{rng.choice(images)} {d.class_number} {d.test}"
+        f"{images(d)} {d.class_number} {d.test}"
         for d in klarf.defects
     ]
     header = [

@@ -5,6 +5,7 @@ The signature of a command defines its flags, its docstring is the help.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,6 +15,7 @@ from tyro.conf import arg
 
 from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
+from wafer_viewer.model.acquisition.sample import Notch
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import (
     Against,
@@ -24,6 +26,8 @@ from wafer_viewer.model.inspection.defect import (
     require_die_limit,
     verdict_of,
 )
+from wafer_viewer.model.inspection.klarf import KlarfExport
+from wafer_viewer.model.inspection.wafer_map import require_notch
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover, compared, overlay_klarf
 from wafer_viewer.session.inspection.inspection_job import GivenDies, Wafer, dies_on, inspected, wafer_of
@@ -47,6 +51,11 @@ def measure_defects(
     save_golden: Annotated[Path | None, arg(metavar="FOLDER/NAME")] = None,
     klarf: File = None,
     klarf_version: Literal["1.2", "1.8"] = "1.2",
+    klarf_images: bool = False,
+    center_um: Pair = None,
+    notch: Notch | None = None,
+    diameter_mm: Um = None,
+    step: Text = None,
     e142: File = None,
     sinf: File = None,
     csv: File = None,
@@ -84,6 +93,11 @@ def measure_defects(
         save_golden: Keep the typical die of this wafer as the next version of NAME.
         klarf: Write a KLARF file.
         klarf_version: Its version; lengths are in um in 1.2 and in nm in 1.8.
+        klarf_images: Write the picture of each defect to a TIFF next to the KLARF.
+        center_um: The wafer's centre on the stage, for a KLARF; that of the dataset's alignment by default.
+        notch: The side of the wafer's notch, for a KLARF or a map; that of the dataset's sample by default.
+        diameter_mm: The wafer's diameter, for a KLARF; that of the dataset's sample by default.
+        step: The process step, StepID of a KLARF.
         e142: Write a wafer map, XML of SEMI E142; a die fails beyond the largest number of defects per die.
         sinf: Write a wafer map as SINF, a text.
         csv: Write a table of the defects.
@@ -99,7 +113,8 @@ def measure_defects(
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
         size_um: Width and height of a die without its street; found, or with a corner as the pitch, by default.
         angle_deg: How the dies are turned, anticlockwise; goes with the corner.
-        job: The PLAN.toml whose dies these are, or a KLARF for its pitch; those of the dataset's own job by default.
+        job: The PLAN.toml whose dies these are, or a KLARF or wafer map for their pitch; those of the dataset's own job
+            by default.
         as_given: Leave given dies where they were given; they are moved to where they are seen by default.
         result: Name of the reconstruction.
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
@@ -111,7 +126,12 @@ def measure_defects(
     planarity = {"max_tilt_mrad": max_tilt_mrad, "max_offset_um": max_offset_um, "max_bow_um": max_bow_um}
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2, **planarity)
     _require_readable(other)
-    wafer = wafer_of(src, result)
+    x_um, y_um = center_um or (None, None)
+    stated = KlarfExport(center_x_um=x_um, center_y_um=y_um, diameter_mm=diameter_mm, step=step or "")
+    stated = replace(stated, notch=notch or "none", images=klarf_images)
+    wafer = _with_stated(wafer_of(src, result), stated)
+    if klarf is not None:
+        wafer.stated.require_complete()
     used_recipe = _recipe(recipe, wafer, src, sensitivity, limits)
     stored = _golden(golden, against, used_recipe, src)
     wanted: dict[Handover, Path | None] = {"e142": e142, "sinf": sinf, "csv": csv, "dies": dies_csv}
@@ -119,6 +139,7 @@ def measure_defects(
     wanted["klarf18" if klarf_version == "1.8" else "klarf"] = klarf
     if e142 or sinf:
         require_die_limit(used_recipe.limits)
+        require_notch(wafer.stated.notch)
     with progress("Looking for defects") as tell:
         inspection = inspected(wafer, used_recipe, given, stored, against, tell, hire)
     files, faults = _files(wafer, inspection, wanted)
@@ -131,6 +152,11 @@ def measure_defects(
     for fault in faults:
         warn(fault)
     return 0 if verdict.within and not faults else NOT_PASSED
+
+
+def _with_stated(wafer: Wafer, stated: KlarfExport) -> Wafer:
+    """Return a wafer with what flags state of it, completed by what is known."""
+    return dataclasses.replace(wafer, stated=stated.over(wafer.stated))
 
 
 def _recipe(
@@ -243,7 +269,7 @@ def measure_dies(
         origin_um: The lower left corner of die 0,0; goes with the pitch.
         size_um: Width and height of a die without its street; found, or with a corner as the pitch, by default.
         angle_deg: How the lattice is turned, anticlockwise; goes with the corner.
-        job: The PLAN.toml whose dies these are, or a KLARF for its pitch, instead.
+        job: The PLAN.toml whose dies these are, or a KLARF or wafer map for their pitch, instead.
         as_given: Leave given dies where they were given.
         evidence: What dies are found by: heights, the all-in-focus picture, or both.
         field: A field of the dataset; 0 is the stitched surface.

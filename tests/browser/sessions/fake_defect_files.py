@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.browser.recording import Recording, refused
+from tests.support.datasets.inspections import written_klarf
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
@@ -16,7 +17,6 @@ from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles, overlay_klarf
 from wafer_viewer.session.state.inspection_state import DefectFilesState
-from wafer_viewer.store.tables.klarf import write_klarf
 
 
 def a_shelf() -> DefectFilesState:
@@ -50,7 +50,7 @@ def other_file(folder: Path, inspection: Inspection) -> Path:
         for k, defect in enumerate(inspection.found[:2])
     ]
     seen = replace(inspection, defects=(*moved, *more))
-    return write_klarf(seen, folder / "tool-2.klarf", at=datetime(2026, 3, 14, 9, 0))
+    return written_klarf(seen, folder / "tool-2.klarf", at=datetime(2026, 3, 14, 9, 0))
 
 
 def _moved(defect: Defect, x_um: float, y_um: float) -> Defect:

@@ -3,31 +3,43 @@
 from __future__ import annotations
 
 import errno
+import io
 from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 from tests.support.datasets.compared_datasets import two_datasets
-from tests.support.datasets.inspections import GRID, defect, inspection
-from wafer_viewer.model.acquisition.sample import Alignment, Sample
+from tests.support.datasets.inspections import GRID, defect, inspection, written_klarf
+from wafer_viewer.model.acquisition.sample import Alignment
 from wafer_viewer.model.errors import ControlHeldError, DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
+from wafer_viewer.model.inspection.klarf import KlarfExport, KlarfImage
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.commands import restricted_session
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.inspection.inspection_commands import DefectController
-from wafer_viewer.session.inspection.inspection_files import DefectFiles, compared, hand_over, keep_golden, lattice_for
+from wafer_viewer.session.inspection.inspection_files import (
+    DefectFiles,
+    compared,
+    hand_over,
+    keep_golden,
+    lattice_for,
+    read_klarf_image,
+)
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.images.image_files import states_simulated
 from wafer_viewer.store.records.inspection_records import read_inspection, write_inspection
-from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
+from wafer_viewer.store.tables.klarf import read_klarf
 
+STATED = KlarfExport(center_x_um=0.0, center_y_um=0.0, notch="down", diameter_mm=300.0, step="METAL2")
 FOUND = inspection(defect(1, "1,1", 300.0, 400.0), defect(2, "1,1", 500.0, 300.0))
 
 
@@ -114,7 +126,7 @@ def test_limits_hold_for_what_was_found_and_can_be_undone(bench, inspected):
 
 def test_defects_go_out_as_they_are_judged(bench, tmp_path):
     bench.do(bench.defects.judge, 1, "nuisance", "pit", None)
-    klarf = bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf")
+    klarf = bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf", STATED)
     stored = read_klarf(klarf)
     assert [(d.number, d.bin, d.class_name) for d in stored.defects] == [(1, 2, "Pit"), (2, 0, "Particle")]
     table = bench.do(bench.controller.write, "csv", tmp_path / "w.csv").read_text()
@@ -130,26 +142,31 @@ def test_defects_go_out_as_they_are_judged(bench, tmp_path):
 
 def test_a_wafer_map_follows_limit_and_judgement(bench, tmp_path):
     with pytest.raises(MeasureError, match="set max_per_die"):
-        bench.do(bench.controller.write, "e142", tmp_path / "w.xml")
+        bench.do(bench.controller.write, "e142", tmp_path / "w.xml", STATED)
     bench.do(bench.defects.limit, DefectLimits(max_per_die=0))
-    assert "0B" in bench.do(bench.controller.write, "sinf", tmp_path / "w.sinf").read_text().split("RowData:", 1)[1]
+    assert (
+        "0B"
+        in bench.do(bench.controller.write, "sinf", tmp_path / "w.sinf", STATED).read_text().split("RowData:", 1)[1]
+    )
     for number in (1, 2):
         bench.do(bench.defects.judge, number, "nuisance", None, None)
-    assert 'BinCode="0B" BinCount="0"' in bench.do(bench.controller.write, "e142", tmp_path / "w.xml").read_text()
+    assert (
+        'BinCode="0B" BinCount="0"' in bench.do(bench.controller.write, "e142", tmp_path / "w.xml", STATED).read_text()
+    )
     for number in (1, 2):
         bench.do(bench.defects.judge, number, "open", None, None)
     bench.do(bench.defects.limit, DefectLimits())
 
 
 def test_a_klarf_goes_out_in_both_versions(bench, tmp_path):
-    files = [bench.do(bench.controller.write, kind, tmp_path / kind) for kind in ("klarf", "klarf18")]
+    files = [bench.do(bench.controller.write, kind, tmp_path / kind, STATED) for kind in ("klarf", "klarf18")]
     assert [read_klarf(file).version for file in files] == ["1.2", "1.8"]
 
 
 @pytest.mark.parametrize("what", ["klarf", "csv", "training"])
 def test_a_place_that_cannot_be_written_to_is_reported(bench, tmp_path, what):
     with pytest.raises(DatasetError, match=r"cannot be written: its folder does not exist"):
-        bench.do(bench.controller.write, what, tmp_path / "gone" / "w.out")
+        bench.do(bench.controller.write, what, tmp_path / "gone" / "w.out", STATED)
     assert bench.command_queue.snapshot.works == ()
 
 
@@ -160,7 +177,7 @@ def test_a_full_disk_is_reported_and_nothing_is_left_there(bench, tmp_path, monk
 
     monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(DatasetError, match="the disk is full: free some space"):
-        bench.do(bench.controller.write, what, tmp_path / "w.out")
+        bench.do(bench.controller.write, what, tmp_path / "w.out", STATED)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -172,7 +189,7 @@ def test_what_was_not_inspected_is_not_handed_over(tmp_path):
     with pytest.raises(MeasureError, match="has none: inspect die to die first"):
         keep_golden(path, "default", "lx7")
     with pytest.raises(DatasetError, match="write a CSV"):
-        hand_over(path, "default", "klarf", tmp_path / "w.klarf")
+        hand_over(path, "default", "klarf", tmp_path / "w.klarf", STATED)
 
 
 def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspected, tmp_path):
@@ -187,7 +204,7 @@ def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspecte
 
 def test_what_another_tool_found_is_overlaid_and_matched(bench, tmp_path):
     more = replace(FOUND, defects=(FOUND.defects[0], defect(7, "2,1", 50.0, 60.0)))
-    other = bench.do(bench.controller.lay_over, write_klarf(more, tmp_path / "other.klarf"), None, 25.0)
+    other = bench.do(bench.controller.lay_over, written_klarf(more, tmp_path / "other.klarf"), None, 25.0)
     assert other.matched(FOUND.defects) == {1: 1}
     ((missed, place),) = other.unmatched(FOUND.defects)
     assert (missed.number, missed.col, missed.row) == (7, 2, 1)
@@ -200,8 +217,42 @@ def test_what_another_tool_found_is_overlaid_and_matched(bench, tmp_path):
     assert bench.shelf.other is None
 
 
+def test_images_of_another_tool_are_shown_and_what_lacks_is_told(bench, tmp_path):
+    grey = np.stack([np.full((40, 60), 60 * k, np.uint8) for k in (1, 2)])
+    tifffile.imwrite(tmp_path / "w.tif", grey)
+    listed = "DefectList\n 1 300.000 400.000 1 1 12.000 10.000 94.000 12.000 1 1 0 0 0 6.000 "
+    path = written_klarf(FOUND, tmp_path / "other.klarf")
+    assert listed + "0 0\n" in path.read_text()
+    with_images = "TiffFileName w.tif;\n" + listed + "2 2\n 2 0\n 1 0\n"
+    path.write_text(path.read_text().replace(listed + "0 0\n", with_images))
+    other = bench.do(bench.controller.lay_over, path, None, 25.0)
+    assert other.klarf.notes == ()
+    with Image.open(io.BytesIO(other.pictures[1])) as picture:
+        assert (picture.size, round(np.asarray(picture).mean())) == ((60, 40), 120), "page 2 is listed first"
+    assert compared(other, FOUND)["images"] == {"1": ["w.tif, page 2", "w.tif, page 1"]}
+    assert other.klarf.notes == ()
+    tifffile.imwrite(tmp_path / "w.tif", grey.astype(float))
+    damaged = bench.do(bench.controller.lay_over, path, None, 25.0)
+    assert damaged.klarf.notes == ("The image w.tif cannot be read: save it as an image of 8 or 16 bits.",)
+    (tmp_path / "w.tif").unlink()
+    without = bench.do(bench.controller.lay_over, path, None, 25.0)
+    assert without.klarf.notes == ("The image w.tif is not next to its KLARF file: copy it there.",)
+    away = KlarfImage(file="..\\..\\secret.tif")
+    with pytest.raises(DatasetError, match=r"The image secret.tif is not next"):
+        read_klarf_image(tmp_path, away)
+
+
+def test_a_klarf_is_not_written_before_the_wafer_is_aligned(bench, tmp_path):
+    with pytest.raises(DatasetError, match=r"the wafer's centre on the stage \(align the wafer"):
+        bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf")
+    images = replace(STATED, images=True)
+    path = bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf", images)
+    assert [d.images[0].page for d in read_klarf(path).defects] == [1, 2]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["w.klarf", "w.tif"]
+
+
 def test_it_is_removed_when_another_surface_is_shown(bench, tmp_path):
-    bench.do(bench.controller.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
+    bench.do(bench.controller.lay_over, written_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
     bench.do(bench.controller.open)
     assert bench.shelf.other is None
 
@@ -222,7 +273,7 @@ def shortened(text: str) -> str:
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_a_sentence(bench, tmp_path, damage, says):
-    path = write_klarf(FOUND, tmp_path / "other.klarf")
+    path = written_klarf(FOUND, tmp_path / "other.klarf")
     path.write_text(damage(path.read_text()))
     with pytest.raises(DatasetError, match=says):
         bench.do(bench.controller.lay_over, path, None, 25.0)
@@ -231,20 +282,20 @@ def test_a_file_that_does_not_fit_is_refused_in_a_sentence(bench, tmp_path, dama
 
 def test_a_distance_of_nothing_is_refused(bench, tmp_path):
     with pytest.raises(DatasetError, match="within 0 um: give more than 0"):
-        bench.do(bench.controller.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 0.0)
+        bench.do(bench.controller.lay_over, written_klarf(FOUND, tmp_path / "other.klarf"), None, 0.0)
 
 
 def test_another_numbering_of_dies_is_identified_by_the_wafers_center(tmp_path):
     center_um = (130.0, -40.0)
     lies = Alignment(shift_x_um=-center_um[0], shift_y_um=-center_um[1], n_marks=2)
     theirs = replace(GRID, x0_um=GRID.x0_um + GRID.pitch_x_um, y0_um=GRID.y0_um - 2 * GRID.pitch_y_um)
-    path = write_klarf(replace(FOUND, grid=theirs), tmp_path / "other.klarf", Sample(), center_um=center_um)
+    path = written_klarf(replace(FOUND, grid=theirs), tmp_path / "other.klarf", center_um=center_um)
     read = read_klarf(path)
     assert read.defects[0].col == 0
     grid, by = lattice_for(read, lies, FOUND, path.name)
     assert by == "dies by the wafer's centre"
     assert read.matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
-    at_zero = write_klarf(replace(FOUND, grid=theirs), tmp_path / "zero.klarf")
+    at_zero = written_klarf(replace(FOUND, grid=theirs), tmp_path / "zero.klarf")
     grid, by = lattice_for(read_klarf(at_zero), None, FOUND, path.name)
     assert by.endswith("taken to be at the stage's zero")
     assert read_klarf(at_zero).matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}

@@ -8,15 +8,20 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 
-from tests.support.datasets.inspections import GRID, defect, inspection
+from tests.support.datasets.inspections import GRID, defect, inspection, written_klarf
+from tests.support.datasets.samples import make_surface
 from tests.support.random_klarf import random_klarf
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS, Klarf
+from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS, Klarf, KlarfExport, KlarfImage
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.tables.klarf import read_klarf, write_klarf
+from wafer_viewer.store.tables.klarf import read_klarf
+from wafer_viewer.store.tables.klarf_writer import KlarfVersion, write_klarf
+from wafer_viewer.store.tables.training_set import crop
 
 SAMPLE = Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0)
 FOUND = inspection(
@@ -30,7 +35,7 @@ FOUND = inspection(
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    return write_klarf(FOUND, tmp_path / "w07.klarf", SAMPLE, at=datetime(2026, 11, 22, 5, 1, 2))
+    return written_klarf(FOUND, tmp_path / "w07.klarf", SAMPLE, at=datetime(2026, 11, 22, 5, 1, 2))
 
 
 def test_what_is_written_is_read_back(file: Path):
@@ -56,7 +61,7 @@ def test_a_die_of_which_nothing_is_known_does_not_look_clean(file: Path):
 
 def test_simulation_is_read_back(file: Path, tmp_path: Path):
     assert read_klarf(file).simulated
-    assert not read_klarf(write_klarf(inspection(simulated=False), tmp_path / "real.klarf")).simulated
+    assert not read_klarf(written_klarf(inspection(simulated=False), tmp_path / "real.klarf")).simulated
 
 
 def test_its_defects_lie_over_the_surface_they_were_found_on(file: Path):
@@ -68,7 +73,7 @@ def test_its_defects_lie_over_the_surface_they_were_found_on(file: Path):
 
 
 def test_a_clean_wafer_has_an_empty_list_and_says_where_was_looked(tmp_path: Path):
-    klarf = read_klarf(write_klarf(inspection(), tmp_path / "clean.klarf", SAMPLE))
+    klarf = read_klarf(written_klarf(inspection(), tmp_path / "clean.klarf", SAMPLE))
     assert klarf.defects == ()
     assert len(klarf.dies) == 6
 
@@ -79,8 +84,36 @@ def test_every_class_but_unmeasured_has_a_number():
 
 def test_missing_dies_are_reported(tmp_path: Path):
     with pytest.raises(DatasetError, match="gives places by dies and this inspection has none"):
-        write_klarf(inspection(grid=None), tmp_path / "no.klarf")
+        written_klarf(inspection(grid=None), tmp_path / "no.klarf")
     assert not list(tmp_path.iterdir())
+
+
+def test_nothing_that_is_not_known_is_written(tmp_path: Path):
+    lacks = r"the wafer's centre .*--center-um\), the side of the notch \(--notch\), .*--diameter-mm\), .*\(--step\)"
+    with pytest.raises(DatasetError, match=lacks):
+        write_klarf(FOUND, tmp_path / "w.klarf")
+    stated = KlarfExport(center_x_um=5.0, center_y_um=0.0, notch="left", diameter_mm=76.2, step="BUMP")
+    for name in ("center_x_um", "notch", "diameter_mm", "step"):
+        with pytest.raises(DatasetError, match="A KLARF states"):
+            write_klarf(FOUND, tmp_path / "w.klarf", stated=replace(stated, **{name: getattr(KlarfExport(), name)}))
+    assert not list(tmp_path.iterdir())
+    klarf = read_klarf(write_klarf(FOUND, tmp_path / "w.klarf", SAMPLE, stated))
+    assert (klarf.notch, klarf.sample_mm, klarf.step, klarf.center_x_um) == ("LEFT", 76.2, "BUMP", 1005.0)
+
+
+@pytest.mark.parametrize("version", ["1.2", "1.8"])
+def test_an_image_of_each_defect_is_written_and_read(tmp_path: Path, version: KlarfVersion):
+    surface = make_surface(rows=1800, cols=3300, pixel_um=1.0, x0_um=-1200.0, y0_um=900.0)
+    path = written_klarf(FOUND, tmp_path / "w07.klarf", SAMPLE, surface=surface, images=True, version=version)
+    klarf = read_klarf(path)
+    assert [d.images for d in klarf.defects] == [(KlarfImage(file="w07.tif", page=page),) for page in (1, 2, 3)]
+    with tifffile.TiffFile(tmp_path / "w07.tif") as file:
+        for page, found in zip(file.pages, FOUND.found, strict=True):
+            np.testing.assert_array_equal(page.asarray(), crop(surface, found).all_in_focus)
+    with tifffile.TiffFile(tmp_path / "w07.tif") as file:
+        assert file.pages[0].description == "SIMULATED. All-in-focus image of defect 1."
+    with pytest.raises(DatasetError, match="cut from the inspected surface, and it is not here"):
+        written_klarf(FOUND, path, SAMPLE, images=True)
 
 
 def test_nanometres_are_converted_where_the_file_says_so(file: Path, tmp_path: Path):
@@ -284,14 +317,14 @@ HEADER_LENGTHS = ("pitch_x_um", "pitch_y_um", "center_x_um", "center_y_um", "ins
 
 
 def test_both_versions_hold_the_same(file: Path, tmp_path: Path):
-    nested = write_klarf(FOUND, tmp_path / "w07_18.klarf", SAMPLE, version="1.8")
+    nested = written_klarf(FOUND, tmp_path / "w07_18.klarf", SAMPLE, version="1.8")
     klarf = read_klarf(nested)
     assert (klarf.version, klarf.notes) == ("1.8", ("Lengths were converted from nm to um.",))
     assert _facts(klarf) == _facts(read_klarf(file))
     with pytest.raises(DatasetError, match=r"it states the unit nm, not um: leave the unit out"):
         read_klarf(nested, "um")
     with pytest.raises(DatasetError, match=r"KLARF 1.3 is not written: choose one of 1.2, 1.8"):
-        write_klarf(FOUND, tmp_path / "w07_13.klarf", version="1.3")  # pyright: ignore[reportArgumentType]
+        written_klarf(FOUND, tmp_path / "w07_13.klarf", version="1.3")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
@@ -313,7 +346,7 @@ def test_both_versions_hold_the_same(file: Path, tmp_path: Path):
     ],
 )
 def test_errors_of_the_nested_syntax_are_reported(tmp_path: Path, damage: Callable[[str], str], says: str):
-    path = write_klarf(FOUND, tmp_path / "w07_18.klarf", SAMPLE, version="1.8")
+    path = written_klarf(FOUND, tmp_path / "w07_18.klarf", SAMPLE, version="1.8")
     damaged = damage(path.read_text())
     assert damaged != path.read_text()
     path.write_text(damaged)

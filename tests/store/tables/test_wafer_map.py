@@ -11,7 +11,9 @@ from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.acquisition.sample import Notch, Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe, Inspection, die_bins
-from wafer_viewer.store.tables.wafer_map import write_wafer_map
+from wafer_viewer.model.spec import replace
+from wafer_viewer.store.tables.wafer_map import CODES, MapFormat, write_wafer_map
+from wafer_viewer.store.tables.wafer_map_reader import read_wafer_map
 
 SAMPLE = Sample(lot="L<2>&é", wafer_id='W"07"', product="LX-7", slot=7, notch="left", width_um=1e5, height_um=1e5)
 LIMITS = DefectLimits(max_per_die=1)
@@ -128,7 +130,7 @@ def without_corner() -> Inspection:
 
 @pytest.mark.parametrize(
     ("notch", "e142", "sinf"),
-    [("down", "0", "180"), ("left", "90", "270"), ("up", "180", "0"), ("right", "270", "90"), ("none", "0", "180")],
+    [("down", "0", "180"), ("left", "90", "270"), ("up", "180", "0"), ("right", "270", "90")],
 )
 def test_places_without_a_die_are_null_and_the_notch_is_stated(tmp_path: Path, notch: Notch, e142: str, sinf: str):
     found, sample = without_corner(), Sample(notch=notch)
@@ -145,8 +147,113 @@ def test_what_a_map_cannot_hold_is_refused_and_leaves_no_file(tmp_path: Path):
         write_wafer_map(without_dies, tmp_path / "w.xml")
     with pytest.raises(MeasureError, match="set max_per_die"):
         write_wafer_map(inspection(), tmp_path / "w.xml")
+    with pytest.raises(DatasetError, match=r"the side of the notch, and it is not known: give it \(--notch\)"):
+        write_wafer_map(FOUND, tmp_path / "w.xml", Sample())
     with pytest.raises(DatasetError, match="are not written as g85: choose one of e142, sinf"):
-        write_wafer_map(FOUND, tmp_path / "w.xml", format="g85")  # pyright: ignore[reportArgumentType]
+        write_wafer_map(FOUND, tmp_path / "w.xml", SAMPLE, format="g85")  # pyright: ignore[reportArgumentType]
     with pytest.raises(DatasetError, match="its folder does not exist"):
-        write_wafer_map(FOUND, tmp_path / "gone" / "w.xml")
+        write_wafer_map(FOUND, tmp_path / "gone" / "w.xml", SAMPLE)
     assert not list(tmp_path.iterdir())
+
+
+# -------------------------------------------------------------------------------------------------------------- reading
+
+
+@pytest.mark.parametrize("format", ["e142", "sinf"])
+@pytest.mark.parametrize("found", [FOUND, without_corner()], ids=["whole", "without corner"])
+def test_what_is_written_is_read_back(tmp_path: Path, format: MapFormat, found: Inspection):
+    sample = replace(SAMPLE, notch="right")
+    stored = read_wafer_map(write_wafer_map(found, tmp_path / "w.map", sample, format=format))
+    bins = die_bins(found)
+    assert {place: CODES_READ[format][die.code] for place, die in stored.on(found.dies).items()} == bins
+    qualities = {"pass": "pass", "fail": "fail", "missing": "fail", "not inspected": "skip"}
+    assert {place: die.quality for place, die in stored.on(found.dies).items()} == {
+        place: qualities[bin] for place, bin in bins.items()
+    }
+    assert (stored.notch, stored.lot, stored.wafer) == ("right", "L<2>&é", 'W"07"')
+    assert (stored.pitch_x_um, stored.pitch_y_um) == (1000.0, 800.0)
+    assert (stored.width_um, stored.height_um) == ((950.0, 760.0) if format == "e142" else (0.0, 0.0))
+
+
+CODES_READ = {
+    "e142": {code: bin for bin, code in CODES.items()},
+    "sinf": {code: bin for bin, code in CODES.items()} | {"@@": "not inspected"},
+}
+OTHER_SINF = """DEVICE:VP3920
+LOT:G6A840.2
+WAFER:22
+FNLOC:90
+ROWCT:2
+COLCT:3
+BCEQU:01 02
+DUTMS:mil
+XDIES:100.000
+YDIES:60.000
+RowData:__ 01 0C
+RowData:02 @@ __
+"""
+"""In the manner of another tool: mils, two good codes, no reference die, notch at the right."""
+
+
+def test_a_map_of_another_tool_is_turned_to_the_notch_of_the_wafer(tmp_path: Path):
+    (path := tmp_path / "other.sinf").write_text(OTHER_SINF)
+    stored = read_wafer_map(path)
+    assert (stored.pitch_x_um, stored.pitch_y_um, stored.notch) == (2540.0, pytest.approx(1524.0), "right")
+    places = {(die.col, die.row): die.quality for die in stored.dies}
+    assert places == {(1, 1): "pass", (2, 1): "fail", (0, 0): "pass", (1, 0): "skip"}
+    turned = stored.turned("down")  # clockwise: what was at the right is at the bottom
+    assert {(die.col, die.row): die.code for die in turned.dies} == {
+        (1, 1): "01",
+        (1, 0): "0C",
+        (0, 2): "02",
+        (0, 1): "@@",
+    }
+    assert (turned.cols, turned.rows, turned.pitch_x_um) == (2, 3, pytest.approx(1524.0))
+    assert stored.turned("left").turned("down").turned("right") == stored
+    assert stored.on(FOUND.dies)[2, 1].code == "0C"
+    with pytest.raises(DatasetError, match="2 x 3 dies and this wafer 3 x 2, and it does not state which is die 0,0"):
+        stored.on(FOUND.dies, "down")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("ROWCT:2", "ROWCT:3", "it states ROWCT 3 and has 2"),
+        ("RowData:__ 01 0C", "RowData:__ 01", "its rows are not equally long"),
+        ("RowData", "Row", "it is neither XML nor has it lines of RowData"),
+        ("DUTMS:mil", "DUTMS:ell", "its unit is 'ell'"),
+        ("FNLOC:90", "FNLOC:east", "it has a damaged record"),
+    ],
+)
+def test_a_damaged_sinf_is_refused(tmp_path: Path, old: str, new: str, says: str):
+    (path := tmp_path / "other.sinf").write_text(OTHER_SINF.replace(old, new))
+    with pytest.raises(DatasetError, match=says):
+        read_wafer_map(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("UpperLeft", "Center", "its OriginLocation is Center, which is no corner"),
+        ("HexaDecimal", "Runes", "its BinType is Runes"),
+        ("<BinCode>0B", "<BinCode>0", "row 2 of its bins has 5 letters, 2 to a code"),
+        ("<BinCode>0B", "<BinCode>", "its rows are not equally long"),
+        ("Overlay", "Underlay", "it has 0 maps of bin codes where 1 is expected"),
+        ("</MapData>", "", "it has a damaged record"),
+        ("<MapData", "<!DOCTYPE a><MapData", "it defines entities"),
+    ],
+)
+def test_a_damaged_e142_is_refused(tmp_path: Path, old: str, new: str, says: str):
+    path = write_wafer_map(FOUND, tmp_path / "w.xml", SAMPLE)
+    text = path.read_text()
+    path.write_text(text.replace(old, new))
+    assert path.read_text() != text
+    with pytest.raises(DatasetError, match=says):
+        read_wafer_map(path)
+
+
+def test_rows_of_e142_may_begin_at_any_corner(tmp_path: Path):
+    path = write_wafer_map(FOUND, tmp_path / "w.xml", SAMPLE)
+    upper_left = {(d.col, d.row): d.code for d in read_wafer_map(path).dies}
+    path.write_text(path.read_text().replace("UpperLeft", "LowerRight"))
+    assert {(2 - d.col, 1 - d.row): d.code for d in read_wafer_map(path).dies} == upper_left

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieMeasurement, DieStatus
+from wafer_viewer.model.inspection.klarf import KlarfExport
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
+from wafer_viewer.store.tables.klarf_writer import write_klarf
 
 GRID = DieGrid(
     pitch_x_um=1000.0, pitch_y_um=800.0, width_um=950.0, height_um=760.0, x0_um=-1000.0, y0_um=-800.0, cols=3, rows=2
@@ -83,3 +87,22 @@ def inspection(
         "simulated": True,
     }
     return Inspection(**(values | changes))
+
+
+def written_klarf(
+    found: Inspection,
+    path: Path,
+    sample: Sample = Sample(notch="down", width_um=300_000.0),
+    *,
+    center_um: tuple[float, float] = (0.0, 0.0),
+    images: bool = False,
+    **options: Any,
+) -> Path:
+    """A KLARF of a wafer whose centre is known, by default at the stage's zero."""
+    return write_klarf(
+        found,
+        path,
+        sample,
+        KlarfExport(center_x_um=center_um[0], center_y_um=center_um[1], step="METAL2", images=images),
+        **options,
+    )

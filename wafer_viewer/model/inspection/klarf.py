@@ -6,17 +6,26 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.sample import Alignment, Notch, Sample
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import NonNegative, Positive, Spec, Within
+from wafer_viewer.model.spec import Count, NonNegative, Positive, Setting, Spec, Within, replace
 
 CLASS_NUMBERS = {entry.name: entry.klarf_number for entry in DEFECT_CLASSES.values() if entry.klarf_number}
 """CLASSNUMBER of each class; 0 is Unclassified. Unmeasured areas are not defects and are not exported."""
 BINS = {"open": 0, "real": 1, "nuisance": 2}
 """ROUGHBINNUMBER of each judgement."""
+
+
+class KlarfImage(Spec, frozen=True, kw_only=True):
+    """Image of a defect: a page, counted from 1, of a file next to the KLARF."""
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    file: str
+    page: Count = 1
 
 
 class KlarfDefect(Spec, frozen=True, kw_only=True):
@@ -36,6 +45,7 @@ class KlarfDefect(Spec, frozen=True, kw_only=True):
     class_name: str = ""
     bin: int = 0
     test: int = 1
+    images: tuple[KlarfImage, ...] = ()
 
 
 class Klarf(Spec, frozen=True, kw_only=True):
@@ -112,3 +122,52 @@ class Klarf(Spec, frozen=True, kw_only=True):
                 pairs[mine] = other
                 taken.add(other)
         return pairs
+
+
+NOTCHES: dict[Notch, str] = {"none": "Not given", "down": "Down", "left": "Left", "up": "Up", "right": "Right"}
+
+
+class KlarfExport(Spec, frozen=True, kw_only=True):
+    """Data that a KLARF states and an inspection does not hold; none of it is assumed.
+
+    center_x_um, center_y_um: stage position of the wafer centre, None if the wafer was not aligned; notch: "none" if
+    not known; diameter_mm: of the wafer; step: process step, StepID. images: write an image of each defect.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    center_x_um: Annotated[float | None, Setting("Wafer centre x, µm", "On the stage; an alignment gives it")] = None
+    center_y_um: Annotated[float | None, Setting("Wafer centre y, µm", "On the stage; an alignment gives it")] = None
+    notch: Annotated[Notch, Setting("Notch", "Side of the wafer at which its notch lies", titles=NOTCHES)] = "none"
+    diameter_mm: Annotated[float | None, Within(0, open_low=True), Setting("Diameter, mm", "Of the wafer")] = None
+    step: Annotated[str, Setting("Process step", "StepID of the file, by which yield systems sort")] = ""
+    images: Annotated[bool, Setting("Images", "Write the picture of each defect to a TIFF next to the file")] = False
+
+    @classmethod
+    def of(cls, sample: Sample, alignment: Alignment | None = None) -> KlarfExport:
+        """Return what a sample and its alignment state."""
+        x_um, y_um = alignment.to_stage(0.0, 0.0) if alignment is not None else (None, None)
+        across_um = max(sample.width_um or 0.0, sample.height_um or 0.0)
+        diameter_mm = across_um / UM_PER_MM if across_um else None
+        return cls(center_x_um=x_um, center_y_um=y_um, notch=sample.notch, diameter_mm=diameter_mm)
+
+    def over(self, other: KlarfExport) -> KlarfExport:
+        """Return this data, completed by `other`."""
+        own = {name: value for name in self.__struct_fields__ if (value := getattr(self, name)) != _OPEN[name]}
+        return replace(other, **own)
+
+    def require_complete(self) -> None:
+        """Raise DatasetError that names everything that is not known."""
+        lacking = [words for name, words in _STATED.items() if getattr(self, name) == _OPEN[name]]
+        if lacking:
+            raise DatasetError(f"A KLARF states {', '.join(lacking)}: give what is missing, nothing is assumed.")
+
+
+UM_PER_MM = 1000.0
+_OPEN = {name: getattr(KlarfExport(), name) for name in KlarfExport.__struct_fields__}
+_STATED = {
+    "center_x_um": "the wafer's centre on the stage (align the wafer, or --center-um)",
+    "notch": "the side of the notch (--notch)",
+    "diameter_mm": "the wafer's diameter (--diameter-mm)",
+    "step": "the process step (--step)",
+}
+"""Required data, and how it is given."""

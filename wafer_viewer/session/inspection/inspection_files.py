@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace as with_changes
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.focus_stack import Image as GreyImage
 from wafer_viewer.model.acquisition.sample import Alignment
-from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.inspection.klarf import Klarf
+from wafer_viewer.model.inspection.klarf import Klarf, KlarfExport, KlarfImage
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.commands import command, observer_command
@@ -53,7 +55,55 @@ def overlay_klarf(
         raise DatasetError(f"The same place is within {within_um:g} um: give more than 0.")
     klarf = read_klarf(path, unit)
     grid, by = lattice_for(klarf, alignment, inspection, path.name, within_um)
-    return OtherTool(path.name, klarf, grid, by, within_um)
+    pictures, problems = _pictures(klarf, path.parent)
+    return OtherTool(path.name, replace(klarf, notes=klarf.notes + problems), grid, by, within_um, pictures)
+
+
+MOST_PICTURES, PICTURE_PX = 200, 96
+"""Most images that are read of a KLARF, and their longer side in px."""
+
+
+def _pictures(klarf: Klarf, folder: Path) -> tuple[dict[int, bytes], tuple[str, ...]]:
+    """Return the first image of each defect as a small JPEG, and notes on those that cannot be read."""
+    listed = [(defect.number, defect.images[0]) for defect in klarf.defects if defect.images]
+    pictures: dict[int, bytes] = {}
+    problems: list[str] = []
+    for number, image in listed[:MOST_PICTURES]:
+        try:
+            pictures[number] = _small_jpeg(read_klarf_image(folder, image))
+        except WaferViewerError as fault:
+            problems.append(str(fault))
+    more = len(problems) - 1
+    notes = (problems[0] + (f" So it is of {more} more." if more else ""),) if problems else ()
+    left_out = len(listed) - MOST_PICTURES
+    return pictures, notes + ((f"Images of {left_out} more defects are not shown.",) if left_out > 0 else ())
+
+
+def _small_jpeg(grey: GreyImage) -> bytes:
+    from PIL import Image
+
+    scaled = grey if grey.dtype == np.uint8 else (grey >> 8).astype(np.uint8)
+    small, content = Image.fromarray(scaled), io.BytesIO()
+    small.thumbnail((PICTURE_PX, PICTURE_PX))
+    small.save(content, "JPEG", quality=85)
+    return content.getvalue()
+
+
+def read_klarf_image(folder: Path, image: KlarfImage) -> GreyImage:
+    """Read the image of a defect, in grey [row, col], from the folder of its KLARF file.
+
+    Raises DatasetError when it is not there, is no image, or has fewer pages.
+    """
+    from wafer_viewer.store.images.image_files import read_file, read_page
+
+    name = PureWindowsPath(image.file).name  # of a path with either separator
+    path = folder / name
+    if not path.is_file():
+        raise DatasetError(f"The image {name} is not next to its KLARF file: copy it there.")
+    try:
+        return read_page(path, image.page - 1, name) if path.suffix.lower() in (".tif", ".tiff") else read_file(path)
+    except (WaferViewerError, KeyError) as fault:
+        raise DatasetError(f"The image {name} cannot be read: save it as an image of 8 or 16 bits.") from fault
 
 
 def compared(other: OtherTool, inspection: Inspection) -> dict[str, Any]:
@@ -67,6 +117,11 @@ def compared(other: OtherTool, inspection: Inspection) -> dict[str, Any]:
         "dies": other.by,
         "matched": {str(their_number): our_number for their_number, our_number in sorted(matched.items())},
         "not_found_here": [defect.number for defect, _ in other.unmatched(found)],
+        "images": {
+            str(d.number): [f"{image.file}, page {image.page}" for image in d.images]
+            for d in other.klarf.defects
+            if d.images
+        },
         "not_in_file": sorted({defect.number for defect in found} - set(matched.values())),
         "notes": list(other.klarf.notes),
         "simulated": other.klarf.simulated,
@@ -137,30 +192,30 @@ Handover = Literal["klarf", "klarf18", "e142", "sinf", "csv", "dies", "training"
 
 def write_klarf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a KLARF 1.2 file."""
-    from wafer_viewer.store.tables.klarf import write_klarf
+    from wafer_viewer.store.tables.klarf_writer import write_klarf
 
-    return write_klarf(inspection, path, wafer.sample, center_um=wafer.center_um)
+    return write_klarf(inspection, path, wafer.sample, wafer.stated, surface=wafer.surface)
 
 
 def write_klarf18(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a KLARF 1.8 file."""
-    from wafer_viewer.store.tables.klarf import write_klarf
+    from wafer_viewer.store.tables.klarf_writer import write_klarf
 
-    return write_klarf(inspection, path, wafer.sample, center_um=wafer.center_um, version="1.8")
+    return write_klarf(inspection, path, wafer.sample, wafer.stated, surface=wafer.surface, version="1.8")
 
 
 def write_e142(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a wafer map as SEMI E142."""
     from wafer_viewer.store.tables.wafer_map import write_wafer_map
 
-    return write_wafer_map(inspection, path, wafer.sample, format="e142")
+    return write_wafer_map(inspection, path, replace(wafer.sample, notch=wafer.stated.notch), format="e142")
 
 
 def write_sinf(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
     """Write a wafer map as SINF."""
     from wafer_viewer.store.tables.wafer_map import write_wafer_map
 
-    return write_wafer_map(inspection, path, wafer.sample, format="sinf")
+    return write_wafer_map(inspection, path, replace(wafer.sample, notch=wafer.stated.notch), format="sinf")
 
 
 def write_csv(wafer: Wafer, inspection: Inspection, path: Path) -> Path:
@@ -204,17 +259,20 @@ def hand_over(
     result: str,
     kind: Handover,
     path: Path,
+    stated: KlarfExport = KlarfExport(),
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
     """Write the stored defects of a dataset to a file or a folder, with their current judgements.
 
+    stated: data of a KLARF that the dataset lacks, or that differ from its own.
+
     Raises DatasetError if there are none, the format cannot hold them, or the path cannot be written to; for image
     crops also if the surface has changed since.
     """
-    wafer, inspection = _inspected(dataset, result, same_surface=kind == "training")
-    return WRITERS[kind](wafer, inspection, path)
+    wafer, inspection = _inspected(dataset, result, same_surface=kind == "training" or stated.images)
+    return WRITERS[kind](with_changes(wafer, stated=stated.over(wafer.stated)), inspection, path)
 
 
 def keep_golden(
@@ -337,10 +395,10 @@ class DefectFiles:
         return header
 
     @observer_command
-    def write(self, kind: Handover, path: Path) -> Future[Path]:
+    def write(self, kind: Handover, path: Path, stated: KlarfExport = KlarfExport()) -> Future[Path]:
         """Write the defects with their judgements to a file, for ``training`` to a new folder."""
         out = Path(path).absolute()
-        return self._background.run(f"{TITLES[kind]} {out.name}", hand_over, *self._looked_at, kind, out).done
+        return self._background.run(f"{TITLES[kind]} {out.name}", hand_over, *self._looked_at, kind, out, stated).done
 
     @command
     def lay_over(self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM) -> OtherTool:

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from wafer_viewer.compute.task_runner import Done, LocalRunner, TaskRunner
 from wafer_viewer.model.acquisition.sample import Alignment, Sample
-from wafer_viewer.model.errors import ComputeError, DiesNotFound, MeasureError, WaferViewerError
+from wafer_viewer.model.errors import ComputeError, DatasetError, DiesNotFound, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import FORM_SEES, Against, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, ProductDies
 from wafer_viewer.model.inspection.golden_die import GoldenDie
+from wafer_viewer.model.inspection.klarf import KlarfExport
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
@@ -55,8 +56,8 @@ class GivenDies:
     """Die lattice given by an operator: pitch, lower left corner of die 0,0 (stage um) and size, or a file's.
 
     None: the dies of the dataset's own job, or detected on the surface. Without a corner the dies are detected, next to
-    this pitch and of this size; with one they are as large as their pitch by default. job: a job, or a KLARF for its
-    pitch. as_given: the dies are not fitted to the surface.
+    this pitch and of this size; with one they are as large as their pitch by default. job: a job, or a KLARF or
+    wafer map for its pitch. as_given: the dies are not fitted to the surface.
     """
 
     pitch_um: tuple[float, float] | None = None
@@ -76,7 +77,7 @@ class GivenDies:
 
     def known(self, dataset_job: Job | None) -> bool:
         """Return whether the place of dies is given or named by a job, so that none have to be detected."""
-        of_job = self.job is not None and not is_klarf(self.job)
+        of_job = self.job is not None and is_job(self.job)
         return self.origin_um is not None or of_job or dies_of_job(dataset_job) is not None
 
     def on(self, surface: Mosaic, dataset_job: Job | None = None, evidence: Evidence = "both") -> FittedDies:
@@ -97,13 +98,13 @@ class GivenDies:
         return FittedDies(find_dies(surface, evidence=evidence, size=size))
 
     def _size(self, dataset_job: Job | None) -> ProductDies | None:
-        """Return the pitch and size of dies whose place is not known: given, of a KLARF, or of an unaligned job."""
+        """Return the pitch and size of dies whose place is not known: given, of a file, or of an unaligned job."""
         if self.pitch_um is not None:
             width_um, height_um = self.size_um or (0.0, 0.0)
             pitch = {"pitch_x_um": self.pitch_um[0], "pitch_y_um": self.pitch_um[1]}
             return ProductDies(**pitch, width_um=width_um, height_um=height_um)
         if self.job is not None:
-            return size_of_klarf(self.job) if is_klarf(self.job) else None
+            return None if is_job(self.job) else size_of_file(self.job)
         return size_of_job(dataset_job) if dies_of_job(dataset_job) is None else None
 
     def _fitted(self, surface: Mosaic, grid: DieGrid, evidence: Evidence) -> FittedDies:
@@ -156,17 +157,23 @@ def size_of_job(job: Job | None) -> ProductDies | None:
     return ProductDies(**{name: getattr(job.dies, name) for name in ProductDies.__struct_fields__})
 
 
-def is_klarf(path: Path) -> bool:
-    """Return whether a file that names dies is a KLARF, not a job."""
-    return path.suffix.lower() != ".toml"
+def is_job(path: Path) -> bool:
+    """Return whether a file that names dies is a job, not a KLARF or a wafer map."""
+    return path.suffix.lower() == ".toml"
 
 
-def size_of_klarf(path: Path) -> ProductDies:
-    """Return the pitch of the dies of a KLARF, which does not have their size."""
+def size_of_file(path: Path) -> ProductDies:
+    """Return the pitch of the dies of a KLARF or wafer map, and their size if it states one."""
     from wafer_viewer.store.tables.klarf import read_klarf
+    from wafer_viewer.store.tables.wafer_map_reader import is_wafer_map, read_wafer_map
 
-    klarf = read_klarf(path)
-    return ProductDies(pitch_x_um=klarf.pitch_x_um, pitch_y_um=klarf.pitch_y_um)
+    if not is_wafer_map(path):
+        klarf = read_klarf(path)
+        return ProductDies(pitch_x_um=klarf.pitch_x_um, pitch_y_um=klarf.pitch_y_um)
+    stated = read_wafer_map(path)
+    if not (stated.pitch_x_um and stated.pitch_y_um):
+        raise DatasetError(f"{path.name} does not state the pitch of its dies: give it (--pitch-um).")
+    return ProductDies(**{name: getattr(stated, name) for name in ProductDies.__struct_fields__})
 
 
 # ------------------------------------------------------------------------------------------------------- inspection job
@@ -374,12 +381,12 @@ CLUSTER_PAYS_PX = 60_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wafer:
-    """Surface to inspect, with wafer data; center_um: centre of the wafer on the stage."""
+    """Surface to inspect, with wafer data; stated: what a KLARF states of it, as far as it is known."""
 
     surface: Mosaic
     calibrated: bool
     sample: Sample = Sample()
-    center_um: tuple[float, float] = (0.0, 0.0)
+    stated: KlarfExport = KlarfExport()
     job: Job | None = None
     lies_in: tuple[Path, Path] | None = None
     """Folders of its dataset and its result; None for a file."""
@@ -396,9 +403,9 @@ def wafer_of(src: Path, result: str) -> Wafer:
         return Wafer(surface, calibrated)
     data = Dataset.open(src)
     job = data.scan.job
-    center_um = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
+    stated = KlarfExport.of(job.sample, job.alignment)
     folder = data.result(result).path
-    return Wafer(surface, calibrated, job.sample, center_um, job, (data.path, folder), read_inspection(folder))
+    return Wafer(surface, calibrated, job.sample, stated, job, (data.path, folder), read_inspection(folder))
 
 
 def inspected(

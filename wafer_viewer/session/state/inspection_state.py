@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from wafer_viewer.model.gauge import (
     Capability,
@@ -57,7 +57,8 @@ SAME_PLACE_UM = 25.0
 class OtherTool:
     """KLARF file overlaid on the displayed surface: `places` are those of its defects, in its order, stage um.
 
-    by: how its dies were located, as text; within_um: maximum distance of a matching defect.
+    by: how its dies were located, as text; within_um: maximum distance of a matching defect; pictures: first image
+    of its defects by number, as JPEG.
     """
 
     name: str
@@ -65,6 +66,7 @@ class OtherTool:
     grid: DieGrid
     by: str
     within_um: float = SAME_PLACE_UM
+    pictures: dict[int, bytes] = field(default_factory=dict[int, bytes])
 
     @property
     def places(self) -> tuple[Region, ...]:

@@ -61,10 +61,15 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class DefectList:
-    """List of defects: its columns, and the words of each defect."""
+    """List of defects: its columns, the words of each defect, and those of each of its images.
+
+    tiff_file: name of the file that image numbers refer to.
+    """
 
     columns: Words
     rows: tuple[Words, ...]
+    images: tuple[tuple[Words, ...], ...] = ()
+    tiff_file: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +175,7 @@ def _require_version(found: Records, versions: Words) -> None:
 
 def _flat_records(text: str) -> Records:
     found: dict[str, list[Record]] = defaultdict(list)
-    lists: list[tuple[Words, list[Words]]] = []
+    lists: list[tuple[Words, list[Words], str]] = []
     pieces = [[piece for piece in _NEXT_RECORD.split(part) if piece.strip()] for part in _PART.findall(text)]
     keyword = ""
     for piece in itertools.chain.from_iterable(pieces):
@@ -182,7 +187,8 @@ def _flat_records(text: str) -> Records:
             found[keyword].append(Record((lines[0][1:], *lines[1:])))
             if keyword == "defectlist":
                 columns = column_names(found["defectrecordspec"][-1]) if found["defectrecordspec"] else ()
-                lists.append((columns, [*filter(None, found[keyword][-1].lines), ()]))
+                tiff_file = " ".join(found["tifffilename"][-1].words) if found["tifffilename"] else ""
+                lists.append((columns, [*filter(None, found[keyword][-1].lines), ()], tiff_file))
         elif keyword in LISTS:  # a further row of a list whose rows each end with a semicolon
             found[keyword][-1] = Record(found[keyword][-1].lines + lines)
             if keyword == "defectlist":
@@ -191,7 +197,7 @@ def _flat_records(text: str) -> Records:
             raise DatasetError(f"it has {first!r} where the keyword of a record is expected: export it again.")
     counted = "summarylist" in found
     by_keyword = {name: tuple(records) for name, records in found.items() if records}
-    defects = tuple(DefectList(columns, _rows(columns, lines, counted)) for columns, lines in lists)
+    defects = tuple(_defect_list(columns, lines, tiff_file, counted) for columns, lines, tiff_file in lists)
     open_end = any(len(records) > 1 for records in pieces)
     notes = ("A record has no semicolon and was taken to end before the next keyword.",) if open_end else ()
     if any(len(row) < len(listed.columns) for listed in defects for row in listed.rows):
@@ -211,22 +217,45 @@ def _words(line: str) -> Words:
     return tuple(quoted or plain for quoted, plain in _TOKEN.findall(line))
 
 
-def _rows(columns: Words, lines: list[Words], counted: bool) -> tuple[Words, ...]:
-    """Return the words of each defect; the list of images, the last column, may be left out of all of them.
+def _defect_list(columns: Words, lines: list[Words], tiff_file: str, counted: bool) -> DefectList:
+    """Return a list of defects; the list of images, the last column, may be left out of all of them.
 
     counted: True if a summary reveals a defect that is taken for the images of the one above.
     """
     try:
-        return tuple(_complete_rows(columns, lines, counted))
+        rows = _complete_rows(columns, lines, counted)
     except DatasetError:
         if columns[-1:] == ("IMAGELIST",):
             with suppress(DatasetError):
-                return tuple(_complete_rows(columns[:-1], lines, counted))
+                rows = _complete_rows(columns[:-1], lines, counted)
+                return DefectList(columns, tuple(row[: len(columns) - 1] for row in rows))
         raise
+    images = tuple(_images_of(columns, row) for row in rows)
+    return DefectList(columns, tuple(row[: len(columns)] for row in rows), images, tiff_file)
 
 
-def _complete_rows(columns: Words, lines: list[Words], counted: bool) -> Iterator[Words]:
-    """Yield the words of each defect; an empty line is the end of a row, other line breaks count as blanks."""
+def _images_of(columns: Words, row: Words) -> tuple[Words, ...]:
+    """Return the words of each image of a row, which follow the list's own count; some files leave it out."""
+    if columns[-1:] != ("IMAGELIST",):
+        return ()
+    n, words = _n_images(columns, row), row[len(columns) :]
+    return _in_parts(row[len(columns) - 1 :] if len(words) == 2 * n - 1 else words, n)
+
+
+def _in_parts(words: Words, n: int) -> tuple[Words, ...]:
+    """Return words in n equal parts, none if they cannot be divided."""
+    if not n or not words or len(words) % n:
+        return ()
+    step = len(words) // n
+    return tuple(words[k : k + step] for k in range(0, len(words), step))
+
+
+def _complete_rows(columns: Words, lines: list[Words], counted: bool) -> list[Words]:
+    """Return the words of each defect and of its images behind them.
+
+    An empty line is the end of a row, other line breaks count as blanks.
+    """
+    rows: list[Words] = []
     pending: Words = ()
     n_image_words, begun = 0, 0
     for n, words in _numbered(lines):
@@ -240,6 +269,7 @@ def _complete_rows(columns: Words, lines: list[Words], counted: bool) -> Iterato
             if is_complete and not counted:
                 raise DatasetError(f"line {n} of its defects may be a defect or images, and no summary counts them.")
             n_image_words -= len(words)
+            rows[-1] += words
             continue
         begun = begun if pending else n
         joined = pending + words
@@ -250,7 +280,8 @@ def _complete_rows(columns: Words, lines: list[Words], counted: bool) -> Iterato
             n_image_words = IMAGE_WORDS * _n_images(columns, joined) + len(columns) - len(joined)
             if n_image_words < 0:
                 raise DatasetError(_wrong_length(begun, len(joined), len(columns)))
-            yield joined[: len(columns)]
+            rows.append(joined)
+    return rows
 
 
 def _numbered(lines: list[Words]) -> Iterator[tuple[int, Words]]:
@@ -410,12 +441,13 @@ def _add_list(tokens: _Tokens, found: _Found, depth: int) -> None:
     tokens.expect("{", "columns")
     columns = _list_columns(name, tokens)
     tokens.expect("data")
-    rows = tuple(_list_rows(name, len(columns), tokens))
+    listed = tuple(_list_rows(name, len(columns), tokens))
+    rows = tuple(row for row, _ in listed)
     tokens.expect("}")
     if name.lower() == "defectlist":
         found.add(depth, "DefectRecordSpec", (str(len(columns)), *columns))
         found.add(depth, name, *rows)
-        found.lists.append(DefectList(columns, rows))
+        found.lists.append(DefectList(columns, rows, tuple(images for _, images in listed)))
     elif name.lower() == "testsummarylist":
         found.add(depth, "SummarySpec", (str(len(columns)), *columns))
         found.add(depth, "SummaryList", *rows)
@@ -433,31 +465,31 @@ def _list_columns(name: str, tokens: _Tokens) -> Words:
     return tuple(word.upper() for word in words[1::2])
 
 
-def _list_rows(name: str, n_columns: int, tokens: _Tokens) -> Iterator[Words]:
+def _list_rows(name: str, n_columns: int, tokens: _Tokens) -> Iterator[tuple[Words, tuple[Words, ...]]]:
+    """Yield the words of each row, and those of each of its images."""
     stated = parse_integer(tokens.take().text)
     tokens.expect("{")
-    n, row = 0, list[str]()
+    n, row, images = 0, list[str](), tuple[Words, ...]()
     while True:
         token = tokens.take()
         if not token.is_mark:
             row.append(token.text)
         elif token == _OPEN:
-            _take_images(tokens, row)
+            images = _take_images(tokens, row)
         elif token != _COMMA and (row or token == _SEMICOLON):
             n += 1
             if len(row) != n_columns:
                 raise DatasetError(f"row {n} of its {name} has {len(row)} of {n_columns} values: export it again.")
-            yield tuple(row)
-            row = []
+            yield tuple(row), images
+            row, images = [], ()
         if token == _CLOSE:
             break
     if n != stated:
         raise DatasetError(f"its {name} has {n} of {stated} rows: export it again.")
 
 
-def _take_images(tokens: _Tokens, row: list[str]) -> None:
-    """Take a list of images, ``Images 2 {...}``, which is one value of a row."""
-    if len(row) < 2 or row[-2].lower() != "images":
+def _take_images(tokens: _Tokens, row: list[str]) -> tuple[Words, ...]:
+    """Take a list of images, ``Images 2 {...}``, which is one value of a row, and return the words of each."""
+    if len(row) < 2 or row[-2].lower() not in ("image", "images"):
         raise DatasetError("it has a brace within a row that lists no images: export it again.")
-    row.pop()
-    tokens.until_close()
+    return _in_parts(tokens.until_close(), parse_integer(row.pop()))

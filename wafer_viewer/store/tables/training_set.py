@@ -84,7 +84,7 @@ def _write_one(folder: Path, surface: Mosaic, defect: Defect) -> list[object]:
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    cut = _cut_out(surface, defect)
+    cut = crop(surface, defect)
     name = f"{defect.number:04d}"
     np.save(folder / f"{name}.npy", np.asarray(cut.z_raw_um, np.float32))
     description = PngInfo()
@@ -93,7 +93,8 @@ def _write_one(folder: Path, surface: Mosaic, defect: Defect) -> list[object]:
     return [*_names(defect, name), *_features(defect), *_lattice(cut), "SIMULATED" if defect.simulated else ""]
 
 
-def _cut_out(surface: Mosaic, defect: Defect) -> HeightMap:
+def crop(surface: Mosaic, defect: Defect) -> HeightMap:
+    """Return the square about a defect of twice its longer extent, at least 32 and at most 512 px."""
     x0, y0, x1, y1 = defect.outline.bounds_um
     px = surface.pixel_um
     across = (1 + MARGIN) * max(x1 - x0, y1 - y0)

@@ -15,6 +15,7 @@ from wafer_viewer.model.acquisition.sample import Notch, Sample
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.defect import DieBin, Inspection, die_bins
 from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.wafer_map import require_notch
 from wafer_viewer.store.io.atomic_files import write_text
 
 MapFormat = Literal["e142", "sinf"]
@@ -23,10 +24,12 @@ QUALITIES: dict[DieBin, str] = {"pass": "Pass", "fail": "Fail", "missing": "Fail
 """BinQuality of SEMI E142; a die that is to be skipped is neither good nor bad."""
 NULL_CODE, SINF_NULL, SINF_NOT_INSPECTED = "FF", "__", "@@"
 E142_NAMESPACE = "urn:semi-org:xsd.E142-1.V1005.SubstrateMap"
-E142_NOTCH_DEG: dict[Notch, int] = {"down": 0, "left": 90, "up": 180, "right": 270, "none": 0}
+E142_NOTCH_DEG: dict[Notch, int] = {"down": 0, "left": 90, "up": 180, "right": 270}
 """Orientation of SEMI E142, clockwise from the bottom of the map."""
-SINF_NOTCH_DEG: dict[Notch, int] = {"up": 0, "right": 90, "down": 180, "left": 270, "none": 180}
+SINF_NOTCH_DEG: dict[Notch, int] = {"up": 0, "right": 90, "down": 180, "left": 270}
 """FNLOC of SINF, clockwise from the top of the map."""
+FIRST_DIE = "The first position is die {}, upper left."
+"""Sentence of the comment; reference dies are avoided, as programs count their places from 0 or from 1."""
 _UM_PER_MM = 1000.0
 _MAP, _LAYOUT = "WaferLayout", "Dies"
 
@@ -43,7 +46,7 @@ def write_wafer_map(
     path : str or Path
         File to write; an existing file is replaced.
     sample : Sample, optional
-        Identification of the wafer: lot, wafer id, product, slot and notch (down if not given). Default: empty.
+        Identification of the wafer: lot, wafer id, product, slot, and the notch, which must be known. Default: empty.
     format : {"e142", "sinf"}, default "e142"
         SEMI E142 is XML, SINF is text.
 
@@ -55,7 +58,7 @@ def write_wafer_map(
     Raises
     ------
     DatasetError
-        When the inspection has no dies, the format is another, or the file cannot be written.
+        When the inspection has no dies, the notch is not known, the format is another, or the file cannot be written.
     MeasureError
         When no limit of defects per die is set.
 
@@ -77,6 +80,7 @@ def write_wafer_map(
     if format not in ("e142", "sinf"):
         raise DatasetError(f"Wafer maps are not written as {format}: choose one of e142, sinf.")
     bins = _rows(die_bins(inspection))
+    require_notch(sample.notch)
     text = (_e142 if format == "e142" else _sinf)(inspection, inspection.grid, sample, bins)
     write_text(Path(path), text)
     return Path(path)
@@ -90,9 +94,8 @@ def _rows(bins: dict[tuple[int, int], DieBin]) -> list[list[DieBin | None]]:
 
 def _comment(inspection: Inspection, grid: DieGrid, sample: Sample) -> str:
     first = grid.name(min(die.col for die in inspection.dies), max(die.row for die in inspection.dies))
-    notch = "down (not given)" if sample.notch == "none" else sample.notch
     simulated = "SIMULATED. " if inspection.simulated else ""
-    return f"{simulated}The first position is die {first}, upper left. The notch points {notch} on this map."
+    return f"{simulated}{FIRST_DIE.format(first)} The notch points {sample.notch} on this map."
 
 
 def _plain(text: str) -> str:

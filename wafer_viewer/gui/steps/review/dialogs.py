@@ -20,14 +20,16 @@ from wafer_viewer.gui.elements.elements import Dropdown, Elements, Html, Number,
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.presenters.results import Box
+from wafer_viewer.gui.scenes.thumbnails import thumbnail
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.number_field import PLACE, pair_of, pair_text
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
-from wafer_viewer.model.inspection.klarf import KlarfDefect
+from wafer_viewer.model.inspection.klarf import KlarfDefect, KlarfExport
+from wafer_viewer.model.inspection.wafer_map import require_notch
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import Setting, Spec, replace
+from wafer_viewer.model.spec import Setting, Spec, replace, settings_of
 from wafer_viewer.session.inspection.inspection_files import Handover, KlarfUnit
 from wafer_viewer.session.state.inspection_state import SAME_PLACE_UM, OtherTool
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -86,15 +88,16 @@ def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     more = (
         html.remark(f"{len(rest) - MOST_ROWS} more on the map.", "margin-bottom:5px") if len(rest) > MOST_ROWS else ""
     )
-    rows = [_klarf_row(defect) for defect, _ in rest[:MOST_ROWS]]
+    rows = [_klarf_row(defect, other.pictures.get(defect.number, b"")) for defect, _ in rest[:MOST_ROWS]]
     table = html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else ""
     return Markup('{head}{lab}{notes}{table}{more}<div style="height:8px"></div>').format(
         head=head, lab=html.remark(summary, "margin-bottom:5px"), notes=notes, table=table, more=more
     )
 
 
-def _klarf_row(defect: KlarfDefect) -> Markup:
-    name = f"{defect.number} {defect.class_name}".strip()
+def _klarf_row(defect: KlarfDefect, picture: bytes) -> Markup:
+    title = f"{defect.number} {defect.class_name}".strip()
+    name = Markup("{}{}").format(thumbnail(picture) if picture else "", title)
     size = number(defect.size_um, 1) if defect.size_um else "–"
     return html.row([name, f"{defect.col},{defect.row}", size], " nn", html.pick("defect-other", str(defect.number)))
 
@@ -152,35 +155,61 @@ LOSES: dict[Handover, str] = {
 UNITS: dict[str, KlarfUnit | None] = {"As the file says": None, "µm": "um", "nm": "nm", "mm": "mm"}
 
 
+class _Export(Spec, frozen=True, kw_only=True):
+    """Chosen format, and what a KLARF or a map states."""
+
+    format: str = next(iter(FORMATS))
+    stated: KlarfExport = KlarfExport()
+
+
+_KLARF_STATES = tuple(f"stated.{name}" for name in settings_of(KlarfExport))
+STATED: dict[Handover, tuple[str, ...]] = {
+    "klarf": _KLARF_STATES,
+    "klarf18": _KLARF_STATES,
+    "e142": ("stated.notch",),
+    "sinf": ("stated.notch",),
+}
+"""Fields that a format states, to be typed where they are not known."""
+
+
 def export_defects_dialog(page: Page) -> None:
     """Open the dialog that exports the defects; it states what the chosen format cannot hold."""
     required_inspection(page)
     snapshot = page.session.snapshot
     stem = snapshot.dataset.path.stem if snapshot.dataset is not None else "wafer"
 
-    def choose(here: FileDialog[str], title: str) -> None:
-        here.hold(title)
+    def choose(here: FileDialog[_Export], title: str) -> None:
+        here.put("format", title)
         ending = FORMATS[title][1]
         here.save_as(f"{stem}{ending}", Path(ending).suffix)
 
-    def contents(here: FileDialog[str]) -> Elements:
-        kind = Dropdown("Format", here.own, partial(choose, here), FORMAT_HINT, options=tuple(FORMATS))
-        return [*here.files(), kind, Html(html.remark(LOSES[FORMATS[here.own][0]], "margin-bottom:9px"))]
+    def contents(here: FileDialog[_Export]) -> Elements:
+        what = FORMATS[here.own.format][0]
+        kind = Dropdown("Format", here.own.format, partial(choose, here), FORMAT_HINT, options=tuple(FORMATS))
+        stated = form(here.own, here.put, *STATED.get(what, ()))
+        return [*here.files(), kind, *stated, Html(html.remark(LOSES[what], "margin-bottom:9px"))]
 
-    def write(here: FileDialog[str]) -> None:
-        what, target = FORMATS[here.own][0], here.target()
+    def write(here: FileDialog[_Export]) -> None:
+        what, target, stated = FORMATS[here.own.format][0], here.target(), here.own.stated
         if what == "training" and target.exists():
             raise DatasetError(f"{target} exists already: give the name of a new folder.")
-        here.write_to(target, partial(begin, what))
+        if what in ("klarf", "klarf18"):
+            stated.require_complete()
+        elif what in STATED:
+            require_notch(stated.notch)
+        here.write_to(target, partial(begin, what, stated))
 
-    def begin(what: Handover, target: Path) -> None:
-        done = page.session.defects.files.write(what, target)
+    def begin(what: Handover, stated: KlarfExport, target: Path) -> None:
+        done = page.session.defects.files.write(what, target, stated)
         page.ask(NOT_EXPORTED, done, lambda out: page.say("Exported", str(out)))
 
-    below, first = "As judged now; nuisances are included and marked as such.", next(iter(FORMATS))
+    below = "As judged now; nuisances are included and marked as such."
+    data = snapshot.dataset
+    known = KlarfExport.of(data.job.sample, data.job.alignment) if data is not None else KlarfExport()
+    first = _Export(stated=known)
     answer, name = (
         Confirm("Export", viser.Icon.DOWNLOAD, write, NOT_EXPORTED, commands=False),
-        f"{stem}{FORMATS[first][1]}",
+        f"{stem}{FORMATS[first.format][1]}",
     )
     FileDialog(page, "Export the defects", below, answer, "any", first, contents, rows=7, saving=name)
 
