@@ -55,6 +55,7 @@ from .model.inspection.defect import DefectLimits as DefectLimits
 from .model.inspection.defect import DefectRecipe as DefectRecipe
 from .model.inspection.defect import die_bins as die_bins
 from .model.inspection.defect import verdict_of as verdict_of
+from .model.inspection.defect_classes import FabClass as FabClass
 from .model.inspection.die_grid import DieGrid as DieGrid
 from .model.inspection.klarf import KlarfExport as KlarfExport
 from .model.inspection.wafer_map import WaferMap as WaferMap
@@ -121,6 +122,7 @@ from .store.records.calibration_records import calibration_records as calibratio
 from .store.records.calibration_records import read_certificate as read_certificate
 from .store.records.golden_dies import open_golden as open_golden
 from .store.records.golden_dies import save_golden as save_golden
+from .store.records.inspection_records import read_class_table as read_class_table
 from .store.records.inspection_records import read_defect_recipe as read_defect_recipe
 from .store.records.inspection_records import save_defect_recipe as save_defect_recipe
 from .store.tables.klarf import read_klarf as read_klarf

@@ -45,6 +45,7 @@ Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
 def measure_defects(
     src: Source,
     recipe: File = None,
+    classes: File = None,
     sensitivity: Annotated[float | None, arg(metavar="0..1")] = None,
     against: Against = "dies",
     golden: File = None,
@@ -87,6 +88,7 @@ def measure_defects(
     Args:
         src: A NAME.wafer or a surface file.
         recipe: How defects are looked for, a TOML file; that kept for the product of a NAME.wafer by default.
+        classes: The fab's class table, a TOML file; that of the recipe, else the built-in one by default.
         sensitivity: The dial: 0 finds only clear defects, 1 everything that may be one; the recipe's by default.
         against: Compare dies with each other, or the surface with its fitted form, which sees nothing of a pattern.
         golden: A NAME.golden.npz to compare with instead; shows what repeats in every die. The recipe's by default.
@@ -132,7 +134,7 @@ def measure_defects(
     wafer = _with_stated(wafer_of(src, result), stated)
     if klarf is not None:
         wafer.stated.require_complete()
-    used_recipe = _recipe(recipe, wafer, src, sensitivity, limits)
+    used_recipe = _with_classes(_recipe(recipe, wafer, src, sensitivity, limits), classes)
     stored = _golden(golden, against, used_recipe, src)
     wanted: dict[Handover, Path | None] = {"e142": e142, "sinf": sinf, "csv": csv, "dies": dies_csv}
     wanted["training"] = training
@@ -171,6 +173,12 @@ def _recipe(
     own = read_defect_recipe(path) if path is not None else _of_product(wafer, src)
     dial = own.sensitivity if sensitivity is None else sensitivity
     return replace(own, sensitivity=dial, limits=limits.over(own.limits))
+
+
+def _with_classes(recipe: DefectRecipe, path: Path | None) -> DefectRecipe:
+    from wafer_viewer.store.records.inspection_records import read_class_table
+
+    return recipe if path is None else replace(recipe, classes=read_class_table(path))
 
 
 def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:

@@ -251,6 +251,23 @@ def test_a_klarf_is_not_written_before_the_wafer_is_aligned(bench, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["w.klarf", "w.tif"]
 
 
+def test_a_class_table_gives_the_classes_of_judgements(bench, tmp_path):
+    from tests.store.records.test_class_table import TABLE
+
+    (path := tmp_path / "classes.toml").write_text(TABLE)
+    with pytest.raises(DatasetError, match="There is no class 'Probe mark': choose one of particle, scratch"):
+        bench.do(bench.defects.judge, 1, "real", "Probe mark", None)
+    bench.do(bench.defects.load_classes, path)
+    bench.do(bench.defects.judge, 1, "real", "Probe mark", None)
+    state = bench.command_queue.snapshot.inspection
+    assert (state.defect(1).seen_as, state.inspection.recipe.class_table["particle"].title) == ("Probe mark", "Fall-on")
+    klarf = read_klarf(bench.do(bench.controller.write, "klarf", tmp_path / "w.klarf", STATED))
+    assert [d.class_number for d in klarf.defects] == [57, 41]
+    for _ in range(2):
+        bench.do(bench.defects.undo)
+    assert bench.command_queue.snapshot.inspection.inspection.recipe.classes == ()
+
+
 def test_it_is_removed_when_another_surface_is_shown(bench, tmp_path):
     bench.do(bench.controller.lay_over, written_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
     bench.do(bench.controller.open)

@@ -17,7 +17,8 @@ from tests.support.datasets.samples import make_surface
 from tests.support.random_klarf import random_klarf
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS, Klarf, KlarfExport, KlarfImage
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
+from wafer_viewer.model.inspection.klarf import Klarf, KlarfExport, KlarfImage
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.tables.klarf import read_klarf
 from wafer_viewer.store.tables.klarf_writer import KlarfVersion, write_klarf
@@ -79,7 +80,7 @@ def test_a_clean_wafer_has_an_empty_list_and_says_where_was_looked(tmp_path: Pat
 
 
 def test_every_class_but_unmeasured_has_a_number():
-    assert sorted(CLASS_NUMBERS.values()) == list(range(1, 13))
+    assert sorted(DEFECT_CLASSES.numbers) == list(range(1, 13))
 
 
 def test_missing_dies_are_reported(tmp_path: Path):

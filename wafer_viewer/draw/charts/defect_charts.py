@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from wafer_viewer.draw.charts.axes import Axis, symbol
 from wafer_viewer.model.inspection.defect import Defect, Inspection, RepeatedPlace
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.region import Region
 
 Attributes = Callable[[str, object], str]
@@ -158,13 +158,13 @@ _ROW_PX, _SIGN_PX, _NAME_PX, _NUMBER_PX = 20, 16, 100, 36
 class Bar:
     """One class: count, share of all defects, and cumulative share."""
 
-    kind: DefectClass
+    kind: str
     count: int
     share: float
     cumulated: float
 
 
-def pareto(kinds: Iterable[DefectClass]) -> tuple[Bar, ...]:
+def pareto(kinds: Iterable[str]) -> tuple[Bar, ...]:
     """Return a bar for each class that occurs; classes of equal count are in order of first occurrence."""
     counts, bars, so_far = Counter(kinds), list[Bar](), 0
     total = sum(counts.values())
@@ -174,7 +174,7 @@ def pareto(kinds: Iterable[DefectClass]) -> tuple[Bar, ...]:
     return tuple(bars)
 
 
-def pareto_svg(kinds: Iterable[DefectClass], *, width_px: int = 300) -> Markup:
+def pareto_svg(kinds: Iterable[str], *, width_px: int = 300) -> Markup:
     """Return the bars with counts and cumulative shares, for reports."""
     bars = pareto(kinds)
     most = max((bar.count for bar in bars), default=1)

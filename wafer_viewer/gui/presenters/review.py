@@ -24,7 +24,7 @@ from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect, Evidence
 from wafer_viewer.model.inspection.defect import Judgement as DefectJudgement
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable
 from wafer_viewer.model.job import (
     FeatureVerdict,
     Job,
@@ -120,7 +120,7 @@ def chosen_item(snapshot: Snapshot, view: View) -> ReviewItem | None:
 def item_at(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
     """Return the item of a key, listed or not; None if there is none."""
     if (defect := chosen_defect(snapshot, key)) is not None:
-        return item_of(defect)
+        return item_of(defect, classes_of(snapshot))
     return next((item for item in review_items(snapshot) if item.key == key), None)
 
 
@@ -190,29 +190,36 @@ def _defects(snapshot: Snapshot, listing: DefectListing) -> tuple[ReviewItem, ..
 
 @lru_cache(maxsize=8)
 def _listed(state: InspectionState, listing: DefectListing) -> tuple[ReviewItem, ...]:
-    return tuple(map(item_of, listed(state.defects, listing)))
+    table = state.inspection.recipe.class_table if state.inspection is not None else DEFECT_CLASSES
+    return tuple(item_of(defect, table) for defect in listed(state.defects, listing))
 
 
-_items: dict[int, tuple[Defect, ReviewItem]] = {}
+_items: dict[int, tuple[Defect, ClassTable, ReviewItem]] = {}
 """Cache of review items by defect number: a judgement changes one of thousands."""
 
 
-def item_of(defect: Defect) -> ReviewItem:
+def classes_of(snapshot: Snapshot) -> ClassTable:
+    """Return the class table of the inspection, the built-in one without an inspection."""
+    inspection = snapshot.inspection.inspection
+    return inspection.recipe.class_table if inspection is not None else DEFECT_CLASSES
+
+
+def item_of(defect: Defect, table: ClassTable = DEFECT_CLASSES) -> ReviewItem:
     """Return a defect as review item."""
     cached = _items.get(defect.number)
-    if cached is None or cached[0] is not defect:
-        cached = _items[defect.number] = defect, _made(defect)
-    return cached[1]
+    if cached is None or cached[0] is not defect or cached[1] is not table:
+        cached = _items[defect.number] = defect, table, _made(defect, table)
+    return cached[2]
 
 
-def _made(defect: Defect) -> ReviewItem:
-    look, height = DEFECT_CLASSES[defect.seen_as], value_texts(defect.height.quantity, signed=True)
+def _made(defect: Defect, table: ClassTable) -> ReviewItem:
+    look, height = table[defect.seen_as], value_texts(defect.height.quantity, signed=True)
     return ReviewItem(
         key=key_of(defect),
         sign=f"D{defect.number}",
         colour=look.colour,
         title=look.title,
-        below=_below(defect),
+        below=_below(defect, table),
         value=Markup("<b>{}</b><small>{} {}</small>").format(_size_text(defect), height[0], height[2]),
         rows=tuple(_defect_rows(defect)),
         judgement=Judgement(key=key_of(defect), verdict=VERDICT_OF[defect.judgement], note=defect.note),
@@ -231,11 +238,11 @@ def _size_text(defect: Defect) -> str:
     return with_unit(defect.major.value_um, 0 if defect.major.value_um >= 100 else 1) if defect.size_resolved else "—"
 
 
-def _below(defect: Defect) -> str:
+def _below(defect: Defect, table: ClassTable) -> str:
     """Describe die, position and proposed class of a defect."""
     where = typeset(f"Die {defect.die}") if defect.die else "Outside of the dies"
     place = f"x {number(defect.center.x_um, 1)}, y {with_unit(defect.center.y_um, 1)}"
-    proposed = f"proposed: {DEFECT_CLASSES[defect.kind].title.lower()}"
+    proposed = f"proposed: {table[defect.kind].title.lower()}"
     by = proposed if defect.judged_kind is not None else f"proposed with {number(defect.confidence, 2)}"
     return f"{where} · {place} · {by}"
 

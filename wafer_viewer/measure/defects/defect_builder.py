@@ -131,8 +131,8 @@ def _repeated_place(group: Sequence[Defect], n_whole: int) -> RepeatedPlace:
     )
 
 
-def _usual(defects: Sequence[Defect]) -> DefectClass:
-    counts = Counter[DefectClass](defect.seen_as for defect in defects)
+def _usual(defects: Sequence[Defect]) -> str:
+    counts = Counter(defect.seen_as for defect in defects)
     return counts.most_common(1)[0][0]
 
 

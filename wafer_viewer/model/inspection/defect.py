@@ -7,7 +7,14 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.inspection.defect_classes import ClassRules, DefectClass
+from wafer_viewer.model.inspection.defect_classes import (
+    ClassRules,
+    ClassTable,
+    DefectClass,
+    FabClasses,
+    class_table,
+    require_distinct,
+)
 from wafer_viewer.model.inspection.die_grid import DIE_UNITS, LEAST_KNOWN, DieGrid, DieNumber, DieStatus
 from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity, Word
@@ -68,7 +75,8 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     the Gaussian filters for heights, 0 for unfiltered, and for wide and faint features of the picture, in which discs
     of 4 to 14 px are also searched; golden: name of the stored golden die to compare with, empty for the median of the
     dies of the wafer; form_order: order of the polynomial removed first; excluded: areas of every die that are not
-    inspected, um from its lower left corner; limits: permitted numbers of defects of a die and a wafer.
+    inspected, um from its lower left corner; limits: permitted numbers of defects of a die and a wafer; classes: the
+    fab's own, instead of the built-in table.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -83,15 +91,22 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     excluded: tuple[Region, ...] = ()
     rules: ClassRules = ClassRules()
     limits: DefectLimits = DefectLimits()
+    classes: FabClasses = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_distinct(self.classes)
         if not self.scales_px or max(self.scales_px) > 40:
             self.refuse("scales_px", "at least one scale, each at most 40 px")
         if not all(region.area_um2 > 0 for region in self.excluded):
             self.refuse(
                 "excluded", "rectangles, circles or polygons: lines, points and what has no area leave nothing out"
             )
+
+    @property
+    def class_table(self) -> ClassTable:
+        """Classes by name, with title, colour, symbol, key and KLARF number."""
+        return class_table(self.classes)
 
     @property
     def threshold_sigma(self) -> float:
@@ -136,14 +151,14 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     size_resolved: bool = True
     repeats: bool = False
     judgement: Judgement = "open"
-    judged_kind: DefectClass | None = None
+    judged_kind: str | None = None
     note: str = ""
     judged_by: str = ""
     judged_at: str = ""
 
     @property
-    def seen_as(self) -> DefectClass:
-        """Effective class: the operator's if set."""
+    def seen_as(self) -> str:
+        """Effective class: the operator's if set, which may be one of the fab's table."""
         return self.judged_kind or self.kind
 
 
@@ -231,7 +246,7 @@ class RepeatedPlace(Spec, frozen=True, kw_only=True):
     dies: tuple[str, ...]
     of_dies: Annotated[int, Within(0)] = 0
     numbers: tuple[int, ...]
-    kind: DefectClass
+    kind: str
 
     @property
     def words(self) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
@@ -210,7 +212,7 @@ def _gone(shape: DefectShape) -> Condition:
 class DefectClassEntry:
     """A defect class: title, colour and shape of its symbol, and the key that assigns it, empty for none.
 
-    klarf_number: CLASSNUMBER in KLARF files; 0 is not exported: unmeasured areas are not defects.
+    klarf_number: CLASSNUMBER in KLARF files; 0 is not exported: unmeasured areas are not defects. code: that of a fab.
     rule: conditions that a candidate of this class meets; None: assigned by people alone, but for the particle, which
     is the class of candidates that meet no rule.
     """
@@ -222,6 +224,7 @@ class DefectClassEntry:
     key: str
     klarf_number: int
     rule: Rule | None
+    code: str = ""
 
 
 _BY_RULE = (
@@ -250,9 +253,90 @@ if TYPE_CHECKING:
 else:
     DefectClass = Literal[tuple(entry.name for entry in _BY_RULE)]
 
-DEFECT_CLASSES: dict[DefectClass, DefectClassEntry] = {
-    entry.name: entry for entry in sorted(_BY_RULE, key=lambda entry: entry.key or "~")
-}
-"""Classes by name, in the order of their keys."""
+
+class ClassTable(dict[str, DefectClassEntry]):
+    """Classes by name, in the order of their keys; a name that is not among them has a neutral look."""
+
+    def __missing__(self, name: str) -> DefectClassEntry:
+        return DefectClassEntry(name, name, NEUTRAL, "disc", "", 0, None)
+
+    @property
+    def offered(self) -> tuple[DefectClassEntry, ...]:
+        """Classes that people can assign; of a fab's table only its own."""
+        own = tuple(entry for entry in self.values() if entry.code)
+        return own or tuple(self.values())
+
+    @property
+    def numbers(self) -> dict[int, str]:
+        """Titles by CLASSNUMBER, without unmeasured areas, which are not defects."""
+        return {entry.klarf_number: entry.title for entry in self.offered if entry.klarf_number}
+
+
+NEUTRAL = "#7A7A7A"
+DEFECT_CLASSES = ClassTable({entry.name: entry for entry in sorted(_BY_RULE, key=lambda entry: entry.key or "~")})
+"""The built-in table."""
 RULES: dict[DefectClass, Rule] = {entry.name: entry.rule for entry in _BY_RULE if entry.rule is not None}
 """Rules in the order of evaluation; a candidate that meets none is a particle or bump."""
+
+
+class FabClass(Spec, frozen=True, kw_only=True):
+    """A class of a fab's own table.
+
+    code: of the fab; colour: "#RRGGBB"; key: the digit that assigns it in the review, empty for none; klarf_number:
+    CLASSNUMBER in KLARF files. kind: built-in class that the rules propose and this one stands for; empty for a class
+    that people alone assign.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    name: str
+    code: str
+    colour: str
+    key: str
+    klarf_number: Annotated[int, Within(1)]
+    kind: DefectClass | Literal[""] = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.name.strip() or not self.code.strip():
+            self.refuse("name", "a name and a code of at least one letter")
+        if self.name in DEFECT_CLASSES and self.name != self.kind:
+            self.refuse("name", f"another name, or kind {self.name!r}: it is that of a built-in class")
+        if not _COLOUR.fullmatch(self.colour):
+            self.refuse("colour", "a colour as #RRGGBB, such as #CA8515")
+        if self.key and not (self.key.isascii() and self.key.isdigit() and len(self.key) == 1):
+            self.refuse("key", "one digit, or empty")
+
+
+_COLOUR = re.compile("#[0-9A-Fa-f]{6}")
+FabClasses = tuple[FabClass, ...]
+
+
+def require_distinct(classes: FabClasses) -> None:
+    """Raise MeasureError if two classes share a name, code, key, KLARF number or built-in class."""
+    for field, what in _DISTINCT.items():
+        values = [value for entry in classes if (value := getattr(entry, field)) != ""]
+        if twice := next((value for value in values if values.count(value) > 1), None):
+            both = " and ".join(entry.name for entry in classes if getattr(entry, field) == twice)
+            raise MeasureError(f"The classes {both} have the same {what}, {twice}: change one of them.")
+
+
+_DISTINCT = {"name": "name", "code": "code", "key": "key", "klarf_number": "KLARF number", "kind": "built-in class"}
+
+
+@cache
+def class_table(classes: FabClasses = ()) -> ClassTable:
+    """Return the table of a fab's classes; one that stands for a built-in class is found by that name.
+
+    Other built-in classes keep their look, without a key and a number. Without classes: the built-in table.
+    """
+    if not classes:
+        return DEFECT_CLASSES
+    own = [_entry(entry) for entry in sorted(classes, key=lambda entry: (entry.key or "~", entry.name))]
+    left = [replace(look, key="", klarf_number=0) for look in DEFECT_CLASSES.values()]
+    taken = {entry.name for entry in own}
+    return ClassTable({entry.name: entry for entry in (*own, *(look for look in left if look.name not in taken))})
+
+
+def _entry(entry: FabClass) -> DefectClassEntry:
+    name, shape = entry.kind or entry.name, DEFECT_CLASSES[entry.kind].shape
+    return DefectClassEntry(name, entry.name, entry.colour, shape, entry.key, entry.klarf_number, None, entry.code)

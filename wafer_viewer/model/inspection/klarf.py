@@ -9,13 +9,10 @@ import numpy as np
 from wafer_viewer.model.acquisition.sample import Alignment, Notch, Sample
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Setting, Spec, Within, replace
 
-CLASS_NUMBERS = {entry.name: entry.klarf_number for entry in DEFECT_CLASSES.values() if entry.klarf_number}
-"""CLASSNUMBER of each class; 0 is Unclassified. Unmeasured areas are not defects and are not exported."""
 BINS = {"open": 0, "real": 1, "nuisance": 2}
 """ROUGHBINNUMBER of each judgement."""
 

@@ -29,7 +29,7 @@ from wafer_viewer.session.session_restore import KEPT_IN
 
 Order = Literal["date", "name", "size"]
 KindName = Literal[
-    "dataset", "images", "plan", "job", "certificate", "klarf", "wafers", "surface", "study", "golden", "any"
+    "dataset", "images", "plan", "job", "certificate", "classes", "klarf", "wafers", "surface", "study", "golden", "any"
 ]
 PAGE = 200
 """Number of entries listed at first; more are listed on request."""
@@ -60,6 +60,7 @@ FILE_KINDS: dict[KindName, FileKind] = {
     "plan": FileKind("Plans", (".toml",)),
     "job": FileKind("Released jobs", (".toml",)),
     "certificate": FileKind("Certificates", (".toml", ".xml")),
+    "classes": FileKind("Class tables", (".toml",)),
     "klarf": FileKind("KLARF files", (".klarf", ".klf", ".kla", ".txt", *(f".{n:03d}" for n in range(10)))),
     "wafers": FileKind("Datasets", (DATASET_ENDING,), takes_folder=True),
     "surface": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),

@@ -17,7 +17,6 @@ from wafer_viewer.model.inspection.defect import (
     Judgement,
     require_dies_for,
 )
-from wafer_viewer.model.inspection.defect_classes import DefectClass
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import UndoHistory
 from wafer_viewer.session.core.commands import command
@@ -102,13 +101,16 @@ class DefectController:
         self,
         number: int | Collection[int],
         judgement: Judgement | None = None,
-        kind: DefectClass | None = None,
+        kind: str | None = None,
         note: str | None = None,
     ) -> None:
         """Judge a defect, or several at once, as real or nuisance, set class or note; None leaves it unchanged."""
         self._require_writable()
         numbers = {number} if isinstance(number, int) else set(number)
         inspection = self._holding(numbers)
+        if kind is not None and kind not in (table := inspection.recipe.class_table):
+            known = ", ".join(entry.name for entry in table.offered)
+            raise DatasetError(f"There is no class {kind!r}: choose one of {known}.")
         given = {"judgement": judgement, "judged_kind": kind, "note": None if note is None else note.strip()}
         given = {name: value for name, value in given.items() if value is not None}
         by = {"judged_by": self._library.shown.job.sample.operator, "judged_at": now()}
@@ -126,6 +128,19 @@ class DefectController:
         require_dies_for(limits, bool(inspection.dies))
         if limits != inspection.recipe.limits:
             self._history.put(replace(inspection, recipe=replace(inspection.recipe, limits=limits)))
+            self._save()
+
+    @command.audited("Class table changed")
+    def load_classes(self, path: Path | None) -> None:
+        """Use the class table of a file for what was found, None for the built-in one; judgements keep their class."""
+        from wafer_viewer.store.records.inspection_records import read_class_table
+
+        self._require_writable()
+        if (inspection := self._history.value) is None:
+            raise DatasetError("Classes are for what was found: inspect for defects first.")
+        classes = () if path is None else read_class_table(path)
+        if classes != inspection.recipe.classes:
+            self._history.put(replace(inspection, recipe=replace(inspection.recipe, classes=classes)))
             self._save()
 
     @command.audited("Change of defects undone")

@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.defect_classes import FabClasses, require_distinct
 from wafer_viewer.model.job import Notebook
-from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.spec import Spec, decode, encode, replace
 from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors, remove, write_text
 from wafer_viewer.store.io.checksums import require_good_json
 from wafer_viewer.store.io.guarded_reading import read_content
@@ -42,6 +44,43 @@ def read_defect_recipe(path: str | Path) -> DefectRecipe:
     """
     place = Path(path)
     return decode(read_content(place), DefectRecipe, place.name)
+
+
+class _ClassFile(Spec, frozen=True, kw_only=True):
+    """File with a class table."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    classes: FabClasses
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_distinct(self.classes)
+
+
+def read_class_table(path: str | Path) -> FabClasses:
+    """Read a fab's class table from a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file with a section ``[[classes]]`` for each class: name, code, colour, key, klarf_number, and kind where
+        it stands for a built-in class.
+
+    Returns
+    -------
+    tuple of FabClass
+        The classes, for the field `classes` of `DefectRecipe`.
+
+    Raises
+    ------
+    DatasetError
+        When the file cannot be read.
+    MeasureError
+        When it is no valid TOML, a field is missing, unknown or invalid, or two classes share a name, code, key, KLARF
+        number or built-in class.
+    """
+    place = Path(path)
+    return decode(read_content(place), _ClassFile, place.name).classes
 
 
 def save_defect_recipe(folder: Path, recipe: DefectRecipe) -> Path:

@@ -19,7 +19,7 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.inspection.klarf import BINS, CLASS_NUMBERS, UM_PER_MM, KlarfExport, KlarfImage
+from wafer_viewer.model.inspection.klarf import BINS, UM_PER_MM, KlarfExport, KlarfImage
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.store.io.atomic_files import atomic_write, write_text
 from wafer_viewer.store.tables.klarf import SIMULATED, SUMMARY_COLUMNS
@@ -146,7 +146,7 @@ def _write_images(inspection: Inspection, surface: Mosaic | None, path: Path) ->
 def _flat_lines(source: _Source) -> Iterator[str]:
     yield from _head(source)
     yield from _lattice(source)
-    yield from _class_records()
+    yield from _class_records(source.inspection)
     yield from _plan(source.inspection)
     yield from _defect_records(source)
     yield from _summary(source.inspection)
@@ -194,11 +194,15 @@ def _in_die(grid: DieGrid, x_um: float, y_um: float) -> tuple[int, int, float, f
     return int(col), int(row), float(u), float(v)
 
 
-def _class_records() -> Iterator[str]:
-    yield f"ClassLookup {len(CLASS_NUMBERS) + 1}"
-    yield ' 0 "Unclassified"'
-    *_, last = CLASS_NUMBERS
-    yield from (f' {n} "{kind.capitalize()}"{";" if kind == last else ""}' for kind, n in CLASS_NUMBERS.items())
+def _class_records(inspection: Inspection) -> Iterator[str]:
+    classes = _classes(inspection)
+    yield f"ClassLookup {len(classes)}"
+    rows = [f" {number} {_quoted(title)}" for number, title in classes.items()]
+    yield "\n".join(rows) + ";"
+
+
+def _classes(inspection: Inspection) -> dict[int, str]:
+    return {0: "Unclassified"} | inspection.recipe.class_table.numbers
 
 
 def _plan(inspection: Inspection) -> Iterator[str]:
@@ -223,18 +227,18 @@ def _defect_records(source: _Source) -> Iterator[str]:
 
 def _record(defect: Defect, source: _Source) -> str:
     """Return the line of a defect; in that below, its image is a page of the TIFF, of kind 0."""
-    values = zip(COLUMNS.values(), _values(defect, source.grid), strict=True)
+    values = zip(COLUMNS.values(), _values(defect, source), strict=True)
     line = " ".join(f"{value}" if kind == "count" else f"{value:.3f}" for kind, value in values)
     image = source.images.get(defect.number)
     return f"{line} 0 0" if image is None else f"{line} 1 1\n {image.page} 0"
 
 
-def _values(defect: Defect, grid: DieGrid) -> tuple[float, ...]:
+def _values(defect: Defect, source: _Source) -> tuple[float, ...]:
     """Return the values of a defect in the order of `COLUMNS`, in um and um2."""
-    col, row, u, v = _in_die(grid, defect.center.x_um, defect.center.y_um)
+    col, row, u, v = _in_die(source.grid, defect.center.x_um, defect.center.y_um)
     x0, y0, x1, y1 = defect.outline.bounds_um
     places, sizes = (defect.number, u, v, col, row), (x1 - x0, y1 - y0, defect.area.value, defect.major.value_um)
-    labels = (CLASS_NUMBERS.get(defect.seen_as, 0), 1, 0, BINS[defect.judgement], 0)
+    labels = (source.inspection.recipe.class_table[defect.seen_as].klarf_number, 1, 0, BINS[defect.judgement], 0)
     return *places, *sizes, *labels, defect.height.value_um
 
 
@@ -288,7 +292,8 @@ def _nested_lines(source: _Source) -> Iterator[str]:
 
 def _lot_fields(source: _Source) -> Iterator[str]:
     inspection, grid, stamp = source.inspection, source.grid, _stamp(source.at)
-    classes = ((0, "Unclassified"), *((n, kind.capitalize()) for kind, n in CLASS_NUMBERS.items()))
+    codes = {entry.klarf_number: entry.code for entry in inspection.recipe.class_table.offered}
+    classes = [f"{n} {_quoted(title)} {_quoted(codes.get(n, ''))}" for n, title in _classes(inspection).items()]
     yield _field("InspectionStationID", *map(_quoted, _station(inspection)))
     yield _field("SampleType", '"WAFER"')
     yield _field("ResultTimestamp", *map(_quoted, stamp))
@@ -300,7 +305,7 @@ def _lot_fields(source: _Source) -> Iterator[str]:
     yield _field("OrientationMarkLocation", _quoted(source.stated.notch.upper()))
     yield _field("DiePitch", _nm(grid.pitch_x_um), _nm(grid.pitch_y_um))
     columns = ("int32 CLASSNUMBER", "string CLASSNAME", "string CLASSCODE")
-    yield from _list("ClassLookupList", columns, [f'{n} {_quoted(name)} ""' for n, name in classes])
+    yield from _list("ClassLookupList", columns, classes)
 
 
 def _wafer_lists(source: _Source) -> Iterator[str]:
@@ -323,7 +328,7 @@ def _wafer_lists(source: _Source) -> Iterator[str]:
 
 def _nested_record(defect: Defect, source: _Source) -> str:
     texts = {"count": str, "length": lambda um: str(_nm(um)), "area": lambda um2: f"{um2 * NM_PER_UM**2:.1f}"}
-    values = zip(COLUMNS.values(), _values(defect, source.grid), strict=True)
+    values = zip(COLUMNS.values(), _values(defect, source), strict=True)
     row, image = " ".join(texts[kind](value) for kind, value in values), source.images.get(defect.number)
     return row if image is None else f'{row} 1 Images 1 {{ {_quoted(image.file)} "TIFF" {image.page} "0" }}'
 

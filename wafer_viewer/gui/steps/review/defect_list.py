@@ -14,7 +14,7 @@ from markupsafe import Markup
 from wafer_viewer.draw.charts.axes import symbol_svg
 from wafer_viewer.draw.charts.defect_charts import Bar, pareto
 from wafer_viewer.draw.number_format import number
-from wafer_viewer.gui.elements.elements import Elements, Html, Stack
+from wafer_viewer.gui.elements.elements import Dropdown, Elements, Html, Stack
 from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here, Picks
 from wafer_viewer.gui.page.preconditions import no_defects
@@ -25,6 +25,7 @@ from wafer_viewer.gui.presenters.review import (
     ReviewItem,
     chosen_defect,
     chosen_item,
+    classes_of,
     on_show,
     review_items,
 )
@@ -46,7 +47,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.model.inspection.defect import FORM_SEES, REFERENCES, Defect, Inspection, verdict_of
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable, DefectClassEntry
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace, settings_of
 from wafer_viewer.session.state.inspection_state import InspectionState, OtherTool
@@ -199,7 +200,12 @@ def _choices(state: InspectionState, view: View) -> Markup:
 
 def _filters(here: Here[DefectsState]) -> Elements:
     """Return the inputs of the filters."""
-    return form(here.view.defects, lambda name, value: here.own.review.list_by(**{name: value}), *FILTERED)
+    table, listing, review = classes_of(here.snapshot), here.view.defects, here.own.review
+    names = {"All": ""} | {entry.title: entry.name for entry in table.values()}
+    shown = next((title for title, name in names.items() if name == listing.kind), "All")
+    hint = settings_of(DefectListing)["kind"].hint
+    kind = Dropdown("Class", shown, lambda title: review.list_by(kind=names[title]), hint, options=tuple(names))
+    return [kind, *form(listing, lambda name, value: review.list_by(**{name: value}), *FILTERED[1:])]
 
 
 def alone(listing: DefectListing, inspection: Inspection) -> Markup:
@@ -207,7 +213,7 @@ def alone(listing: DefectListing, inspection: Inspection) -> Markup:
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
     die = html.typeset(f"Die {listing.die}")
     filters = [f"{die} ({state})" if state else die] if listing.die else []
-    filters += [DEFECT_CLASSES[kind].title for kind in DEFECT_CLASSES if kind == listing.kind]
+    filters += [inspection.recipe.class_table[listing.kind].title] if listing.kind else []
     filters += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
     titles = {name: settings_of(DefectListing)[name].setting.title for name in FILTERED[2:]}
     limits = ((name, title, getattr(listing, name)) for name, title in titles.items())
@@ -393,20 +399,24 @@ def chart(state: InspectionState, listing: DefectListing, only: ReviewFilter) ->
 
 @lru_cache(maxsize=8)
 def _pareto(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> Markup:
-    return pareto_html(on_show(state.defects, replace(listing, kind=""), only), listing.kind)
+    table = state.inspection.recipe.class_table if state.inspection is not None else DEFECT_CLASSES
+    return pareto_html(on_show(state.defects, replace(listing, kind=""), only), listing.kind, table)
 
 
-def pareto_html(defects: Iterable[Defect], chosen: str) -> Markup:
+def pareto_html(defects: Iterable[Defect], chosen: str, table: ClassTable = DEFECT_CLASSES) -> Markup:
     """Return the Pareto chart; the operator's class overrides the proposed one, `chosen` is the filtered class.
 
     Unmeasured areas are no defects and have no share.
     """
-    kinds: list[DefectClass] = [defect.seen_as for defect in defects]
-    classes: list[DefectClass] = [kind for kind in kinds if kind != "unmeasured"]
+    kinds = [defect.seen_as for defect in defects]
+    classes = [kind for kind in kinds if kind != "unmeasured"]
     bars = pareto(classes)
-    rows = [_class_row(bar.kind, bar.count, chosen, _bar(bar), f"{number(100 * bar.cumulated, 0)} %") for bar in bars]
+    rows = [
+        _class_row(look := table[bar.kind], bar.count, chosen, _bar(bar, look), f"{number(100 * bar.cumulated, 0)} %")
+        for bar in bars
+    ]
     if (unmeasured := kinds.count("unmeasured")) > 0:
-        rows.append(_class_row("unmeasured", unmeasured, chosen, Markup("<i></i>"), ""))
+        rows.append(_class_row(table["unmeasured"], unmeasured, chosen, Markup("<i></i>"), ""))
     head = Markup(
         '<div class="wv-pareto-head"><span>Class</span><span>Share</span><span>n</span><span>Sum</span></div>'
     )
@@ -417,8 +427,8 @@ def pareto_html(defects: Iterable[Defect], chosen: str) -> Markup:
     )
 
 
-def _class_row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str) -> Markup:
-    on = kind == chosen
+def _class_row(look: DefectClassEntry, n: int, chosen: str, bar: str, cumulated: str) -> Markup:
+    on = look.name == chosen
     return Markup(
         '<span class="{on}" aria-pressed="{aria_pressed}" {pick}>'
         "<span>{sign_of} {title}</span>"
@@ -426,19 +436,19 @@ def _class_row(kind: DefectClass, n: int, chosen: str, bar: str, cumulated: str)
     ).format(
         on="on" if on else "",
         aria_pressed=str(on).lower(),
-        pick=html.pick("defect-kind", kind),
-        sign_of=symbol_svg(DEFECT_CLASSES[kind].shape, DEFECT_CLASSES[kind].colour),
-        title=DEFECT_CLASSES[kind].title,
+        pick=html.pick("defect-kind", look.name),
+        sign_of=symbol_svg(look.shape, look.colour),
+        title=look.title,
         bar=bar,
         number=number(n, 0),
         cumulated=cumulated,
     )
 
 
-def _bar(bar: Bar) -> Markup:
+def _bar(bar: Bar, look: DefectClassEntry) -> Markup:
     """Return the bar with the share of a class, and in a paler colour the cumulative share."""
     title = f"{number(100 * bar.share, 0)} % of all, {number(100 * bar.cumulated, 0)} % with those above"
     return Markup(
         '<i title="{title}"><i style="width:{width:.1f}%"></i>'
         '<i style="width:{width2:.1f}%;background:{colour}"></i></i>'
-    ).format(title=title, width=100 * bar.cumulated, width2=100 * bar.share, colour=DEFECT_CLASSES[bar.kind].colour)
+    ).format(title=title, width=100 * bar.cumulated, width2=100 * bar.share, colour=look.colour)

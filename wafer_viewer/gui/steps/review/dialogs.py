@@ -123,6 +123,7 @@ class _Named(Spec, frozen=True, kw_only=True):
     name: Annotated[str, Setting("Name", "Name in lists, exports and reports")]
 
 
+NOT_CLASSES = "The class table was not changed"
 NOT_GOLDEN, NOT_OVERLAID = "No golden die was kept", "The KLARF file was not overlaid"
 NEAR = "Places closer than this count as the same defect"
 FORMATS: dict[str, tuple[Handover, str]] = {
@@ -238,6 +239,27 @@ def klarf_dialog(page: Page) -> None:
     below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
     answer = Confirm("Overlay", viser.Icon.STACK_2, lay, NOT_OVERLAID)
     FileDialog(page, "Overlay a KLARF file", below, answer, "klarf", _Overlay(), contents, rows=6)
+
+
+def classes_dialog(page: Page) -> None:
+    """Open the dialog that loads a fab's class table for what was found; without a file, the built-in one."""
+    used = required_inspection(page).recipe.class_table
+    rows = [html.row([entry.code, entry.title, entry.key, str(entry.klarf_number)], "   n") for entry in used.offered]
+    table = html.table(["Code", "Class", "Key", "KLARF"], rows, "   n")
+
+    def load(here: FileDialog[None]) -> None:
+        path = here.path() if here.text.strip() else None
+        page.session.defects.load_classes(path).result(WAIT_S)
+        page.redraw()
+
+    def contents(here: FileDialog[None]) -> Elements:
+        return [Html(table), *here.files(), here.upload()]
+
+    below = (
+        "A TOML file with name, code, colour, key and KLARF number of each class; an empty path is the built-in table."
+    )
+    answer = Confirm("Use these classes", viser.Icon.TAGS, load, NOT_CLASSES)
+    FileDialog(page, "Class table", below, answer, "classes", None, contents, rows=4)
 
 
 def golden_dialog(page: Page) -> None:
@@ -392,6 +414,7 @@ class Errand:
 ERRANDS: dict[str, Errand] = {
     "export": Errand("Export the defects…", "Export…", NOT_EXPORTED, viser.Icon.DOWNLOAD, export_defects_dialog),
     "golden": Errand("Keep as golden die…", "Golden die…", NOT_GOLDEN, viser.Icon.DIAMOND, golden_dialog),
+    "classes": Errand("Class table…", "Classes…", NOT_CLASSES, viser.Icon.TAGS, classes_dialog),
     "klarf": Errand("Overlay a KLARF file…", "Overlay KLARF…", NOT_OVERLAID, viser.Icon.STACK_2, klarf_dialog),
 }
 """Commands in the header of the defect list and in the command palette."""

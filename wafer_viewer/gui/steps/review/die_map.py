@@ -35,7 +35,7 @@ from wafer_viewer.gui.steps.review.judging import Review
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.model.inspection.defect import Defect, Inspection
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable
 from wafer_viewer.model.inspection.die_grid import DIE_UNITS, DieNumber
 from wafer_viewer.model.quantity import Quantity, digits_of_u
 from wafer_viewer.model.spec import replace
@@ -160,14 +160,15 @@ def map_html(
     over: str = "",
 ) -> Markup:
     """Return the map of dies with the defects `defects`, and its legend; the SVG `over` is drawn on top."""
+    classes = inspection.recipe.class_table
     many, by_class = len(defects) > MOST_SIGNS, listing.map_by == "class"
     if listing.map_by in ("class", "count"):
-        fills = fills_by_count(counts_of(defects)) if not by_class else fills_by_class(defects) if many else {}
+        fills = fills_by_count(counts_of(defects)) if not by_class else fills_by_class(defects, classes) if many else {}
         table = Markup()
     else:
         fills, table = fills_by_number(inspection, listing.map_by), dies_table(inspection, listing.map_by)
     shapes = die_shapes(frame, inspection, fills, outline_um=outline_um, chosen=listing.die)
-    signs = Markup("").join(_sign(frame, defect) for defect in defects) if by_class and not many else ""
+    signs = Markup("").join(_sign(frame, defect, classes) for defect in defects) if by_class and not many else ""
     kinds = kinds_of(inspection.dies).items()
     legend = html.legend((look_svg(kind), f"{number(n, 0)} {kind}") for kind, n in kinds)
     note = "Each die has the colour of its commonest class." if by_class and many else ""
@@ -203,15 +204,12 @@ def _with_u(quantity: Quantity) -> str:
     return f"{quantity.value:.{digits}f}{u}"
 
 
-def fills_by_class(defects: Sequence[Defect]) -> dict[str, DieFill]:
+def fills_by_class(defects: Sequence[Defect], table: ClassTable = DEFECT_CLASSES) -> dict[str, DieFill]:
     """Return the fill of each die by name: the colour of its commonest defect class."""
-    on: dict[str, Counter[DefectClass]] = {}
+    on: dict[str, Counter[str]] = {}
     for defect in defects:
         on.setdefault(defect.die, Counter())[defect.seen_as] += 1
-    return {
-        die: DieFill(DEFECT_CLASSES[max(kinds, key=kinds.__getitem__)].colour, CLASS_OPACITY)
-        for die, kinds in on.items()
-    }
+    return {die: DieFill(table[max(kinds, key=kinds.__getitem__)].colour, CLASS_OPACITY) for die, kinds in on.items()}
 
 
 def counts_of(defects: Sequence[Defect]) -> Counter[str]:
@@ -234,8 +232,8 @@ def other_signs(frame: MapViewport, other: OtherTool) -> Markup:
     return Markup('<g class="wv-other">{}</g>').format(Markup("").join(drawn))
 
 
-def _sign(frame: MapViewport, defect: Defect) -> Markup:
-    look, centre = DEFECT_CLASSES[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
+def _sign(frame: MapViewport, defect: Defect, table: ClassTable) -> Markup:
+    look, centre = table[defect.seen_as], (frame.x(defect.center.x_um), frame.y(defect.center.y_um))
     faint = Markup() if defect.judgement == "open" else Markup(' opacity="{}"').format(JUDGED_OPACITY)
     return Markup(
         '<g data-d="{data_d}" data-pick="review" data-k="{data_d}" class="wv-go"{faint} '

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,17 +20,18 @@ from wafer_viewer.gui.presenters.review import (
     ReviewItem,
     alike,
     chosen_item,
+    classes_of,
     first_changed,
     item_at,
     key_of,
     neighbour,
     number_of,
 )
-from wafer_viewer.gui.state.view_state import listed
+from wafer_viewer.gui.state.view_state import View, listed
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, DefectClass
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable
 from wafer_viewer.model.job import Verdict
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import replace as with_fields
 from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -88,18 +90,31 @@ class Review:
         else:
             self._begin(self.page.session.defects.judge(item.defect, JUDGEMENT_OF[verdict]))
 
-    def classify(self, kind: DefectClass) -> None:
+    @property
+    def classes(self) -> ClassTable:
+        """Class table of the inspection."""
+        return classes_of(self.page.session.snapshot)
+
+    def on_key(self, key: str, act: Callable[[str], None]) -> None:
+        """Pass the class that a key assigns to `act`; the page says so where none has this key."""
+        entry = next((entry for entry in self.classes.offered if entry.key == key), None)
+        if entry is None:
+            self.page.say(f"No class has the key {key}", "The class table of the recipe gives the keys.")
+        else:
+            act(entry.name)
+
+    def classify(self, kind: str) -> None:
         """Judge the defect as real, of a class, and go on to the next."""
         if (item := self.item) is not None and item.defect is not None:
             self._begin(self.page.session.defects.judge(item.defect, "real", kind))
 
-    def judge_alike(self, verdict: Verdict, kind: DefectClass | None = None) -> None:
+    def judge_alike(self, verdict: Verdict, kind: str | None = None) -> None:
         """Judge the selected defects, else all open ones of the class under review, and go on."""
         page = self.page
         if not (numbers := alike(page.session.snapshot, page.view)):
             self.judge(verdict)
             return
-        what = DEFECT_CLASSES[kind].title.lower() if kind is not None else JUDGED[verdict]
+        what = self.classes[kind].title.lower() if kind is not None else JUDGED[verdict]
 
         def go_on(_: Any) -> None:
             page.say(f"{len(numbers)} judged: {what}", "Ctrl + Z takes it back.")
@@ -136,7 +151,7 @@ class Review:
     def list_by(self, **changes: Any) -> None:
         """Change order or filters; the review moves to the first open defect only if its own is filtered out."""
         page = self.page
-        page.change(defects=replace(page.view.defects, **changes))
+        page.change(defects=with_fields(page.view.defects, **changes))
         now = listed(page.session.snapshot.inspection.defects, page.view.defects)
         if number_of(page.view.review) not in {defect.number for defect in now}:
             ahead = next((d for d in now if d.judgement == "open"), next(iter(now), None))
@@ -224,7 +239,7 @@ def review_commands(review: Review) -> list[Command]:
             Command("Pictures or gallery", "Z", review.look_elsewhere, icon.LAYOUT_GRID, group="Review"),
             Command("Defects in 3D", None, partial(review.look, "none"), icon.CUBE, group="Review"),
             *(
-                command
+                replace(command, here=_both(_with_built_in_classes, command.here))
                 for kind, look in DEFECT_CLASSES.items()
                 for command in commands(
                     f"Class: {look.title}",
@@ -234,5 +249,31 @@ def review_commands(review: Review) -> list[Command]:
                     partial(review.judge_alike, "accepted", kind),
                 )
             ),
+            *(
+                replace(command, here=_both(_with_own_classes, command.here), listed=False)
+                for key in "1234567890"
+                for command in commands(
+                    f"Class on key {key}",
+                    key,
+                    icon.TAG,
+                    partial(review.on_key, key, review.classify),
+                    partial(review.on_key, key, partial(review.judge_alike, "accepted")),
+                )
+            ),
         ),
     )
+
+
+Condition = Callable[[Snapshot, View], bool]
+
+
+def _both(first: Condition, second: Condition | None) -> Condition:
+    return first if second is None else lambda snapshot, view: first(snapshot, view) and second(snapshot, view)
+
+
+def _with_built_in_classes(snapshot: Snapshot, view: View) -> bool:
+    return classes_of(snapshot) is DEFECT_CLASSES
+
+
+def _with_own_classes(snapshot: Snapshot, view: View) -> bool:
+    return classes_of(snapshot) is not DEFECT_CLASSES

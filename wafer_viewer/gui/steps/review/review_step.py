@@ -22,6 +22,7 @@ from wafer_viewer.gui.presenters.review import (
     alike,
     chosen_defect,
     chosen_item,
+    classes_of,
     review_items,
 )
 from wafer_viewer.gui.scenes.surface_scene import source_of
@@ -29,7 +30,7 @@ from wafer_viewer.gui.steps.review.judging import JUDGEMENTS, NOT_JUDGED, NOT_NO
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.callbacks import COMMIT_S
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
+from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable
 from wafer_viewer.session.rendering.render_request import RenderRequest
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -47,7 +48,7 @@ def review_step(here: Here[Review]) -> Elements | None:
         return [None, Html(page.notes(snapshot) + _nothing_yet(snapshot))]
     if item.defect is not None and view.review != item.key:
         page.change(review=item.key)
-    defect = chosen_defect(snapshot, item.key)
+    defect, table = chosen_defect(snapshot, item.key), classes_of(snapshot)
     return [
         Html(html.title(f"{item.sign} · {item.title}", item.below)),
         Html(page.notes(snapshot)),
@@ -63,7 +64,7 @@ def review_step(here: Here[Review]) -> Elements | None:
             failed=NOT_NOTED,
             pause_s=COMMIT_S,
         ),
-        Html(Markup('<div class="wv-judging">{}{}</div>').format(_state(here, item), classes(defect))),
+        Html(Markup('<div class="wv-judging">{}{}</div>').format(_state(here, item), classes(defect, table))),
         Buttons(_judgements(here, defect is not None), 34, at_foot=True, key=defect is not None),
         Button("Next", lambda: review.step(1), viser.Icon.ARROW_RIGHT, "leading", failed="The item was not changed"),
     ]
@@ -121,21 +122,21 @@ def _state(here: Here[Review], item: ReviewItem) -> Markup:
     return html.head(said, left)
 
 
-def classes(defect: Defect | None) -> Markup:
+def classes(defect: Defect | None, table: ClassTable = DEFECT_CLASSES) -> Markup:
     """Return the class buttons with their keys, the current class marked; empty for other items."""
     if defect is None:
         return Markup()
     tiles = (
         Markup('<span class="{}" aria-pressed="{}" title="{}" {}>{}{} {}</span>').format(
-            "on" if kind == defect.seen_as else "",
-            str(kind == defect.seen_as).lower(),
-            f"Key {look.key}" if look.key else look.title,
-            html.command_pick("defect-class", kind, "Defects judged"),
+            "on" if look.name == defect.seen_as else "",
+            str(look.name == defect.seen_as).lower(),
+            " · ".join(part for part in (f"Key {look.key}" if look.key else look.title, look.code) if part),
+            html.command_pick("defect-class", look.name, "Defects judged"),
             Markup("<kbd>{}</kbd>").format(look.key) if look.key else "",
             symbol_svg(look.shape, look.colour),
             look.title,
         )
-        for kind, look in DEFECT_CLASSES.items()
+        for look in table.offered
     )
     return Markup('<div class="wv-classes">{}</div>').format(Markup("").join(tiles))
 
