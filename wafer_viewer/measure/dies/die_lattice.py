@@ -14,7 +14,8 @@ from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.measure.base.measurement_context import PIXEL_SCALE, MeasurementContext
 from wafer_viewer.measure.dies.lattice_evidence import Coarse, Evidence, read_coarse, scanned_bounds
 from wafer_viewer.measure.dies.lattice_refinement import Registered, Single, cells_over, dissimilar_cells, refined
-from wafer_viewer.measure.dies.periodicity import MEND, Periods, periods_of, vertex
+from wafer_viewer.measure.dies.pattern_gradients import MEND, vertex
+from wafer_viewer.measure.dies.periodicity import Periods, periods_of
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid, ProductDies
 from wafer_viewer.model.quantity import Length
