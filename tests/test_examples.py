@@ -131,4 +131,4 @@ def test_example_10_fills_all_by_the_paper_and_little_by_default(run):
     heights = run("10")["heights"]
     filled = {name: np.mean(height.origin == Origin.FILLED) for name, height in heights.items()}
     assert filled["paper"] + heights["paper"].measured.mean() == pytest.approx(1.0)
-    assert filled["default"] < 0.02
+    assert filled["default"] < 0.03
