@@ -31,6 +31,11 @@ def with_unit(value: float | None, digits: int = 2, unit: str = "µm", *, signed
     return f"{number(value, digits, signed=signed)}{THIN}{unit}"
 
 
+def plural(n: int, what: str) -> str:
+    """Format a number of things, ``1 field``, ``12 fields``."""
+    return f"{number(n, 0)} {what}{'' if n == 1 else 's'}"
+
+
 def value_and_u(value: float, expanded: float | None, digits: int = 2, *, signed: bool = False) -> tuple[str, str]:
     """Format a value and its U, U to two significant digits, both with the same decimals; no U: `digits`, dash."""
     if expanded is None:

@@ -9,7 +9,7 @@ from datetime import date, datetime
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import THIN, digits_of_u, number, value_and_u, with_unit
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, plural, value_and_u, with_unit
 from wafer_viewer.gui.presenters.verdict import LOOKS
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.gauge import (
@@ -201,9 +201,7 @@ def _runs_out(paper: Certificate, today: date) -> Markup:
     days_left = (paper.expires - today).days
     if days_left < 0 or days_left > SOON_DAYS:
         return Markup()
-    return html.note(
-        "attention", f"It expires in {days_left} day{'' if days_left == 1 else 's'}", "Have the blocks recertified."
-    )
+    return html.note("attention", f"It expires in {plural(days_left, 'day')}", "Have the blocks recertified.")
 
 
 def _size(face: Region) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import THIN, number, share
+from wafer_viewer.draw.number_format import THIN, number, plural, share
 from wafer_viewer.gui.dialogs.control_handover import control_question
 from wafer_viewer.gui.dialogs.stop import can_stop, stop
 from wafer_viewer.gui.elements.elements import Elements, Html
@@ -269,10 +269,11 @@ def calibration_due(made: Calibration | None, today: datetime.date) -> Words:
     days = (datetime.date.fromisoformat(made.due) - today).days
     more = f"Calibrated on {made.made} against {made.against}, due on {made.due}."
     if days < 0:
-        return f"Calibration overdue by {_days(-days)}", "fault", more
+        return f"Calibration overdue by {plural(-days, 'day')}", "fault", more
     if days <= SOON_DAYS:
-        return f"Calibration due {'today' if days == 0 else f'in {_days(days)}'}", "attention", more
-    return (f"Calibrated, due in {_days(days)}" if days <= FAR_DAYS else f"Calibrated until {made.due}"), "", more
+        return f"Calibration due {'today' if days == 0 else 'in ' + plural(days, 'day')}", "attention", more
+    words = f"Calibrated, due in {plural(days, 'day')}" if days <= FAR_DAYS else f"Calibrated until {made.due}"
+    return words, "", more
 
 
 def surface(
@@ -323,10 +324,6 @@ def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
     if not info.n_believed:
         return "Stitched by the stage alone", reasons
     return f"{number(info.n_by_stage, 0)} of {number(n_fields, 0)} fields by the stage alone", reasons
-
-
-def _days(days: int) -> str:
-    return f"{days} day{'' if days == 1 else 's'}"
 
 
 def _item(words: str, tone: str, more: str) -> Markup:

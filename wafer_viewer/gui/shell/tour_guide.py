@@ -16,7 +16,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import duration, number, size, with_unit
+from wafer_viewer.draw.number_format import duration, number, plural, size, with_unit
 from wafer_viewer.gui.dialogs.import_dialog import import_dialog
 from wafer_viewer.gui.dialogs.open_and_export import open_dialog
 from wafer_viewer.gui.elements.elements import Button, Elements, Html
@@ -347,7 +347,7 @@ def _inspected(snapshot: Snapshot) -> Result:
     kinds = Counter(DEFECT_CLASSES[defect.seen_as].title.lower() for defect in inspection.found)
     n = len(inspection.found)
     below = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(3))
-    return "Found", f"{number(n, 0)} defect{'' if n == 1 else 's'}", below or "on no die", True
+    return "Found", plural(n, "defect"), below or "on no die", True
 
 
 def _written(report: Path | None) -> Result:

@@ -10,7 +10,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import duration, number, with_unit
+from wafer_viewer.draw.number_format import duration, number, plural, with_unit
 from wafer_viewer.draw.surface.pictures import greys, patch_url
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Stack
 from wafer_viewer.gui.elements.step import Here
@@ -218,7 +218,7 @@ def operator_view(here: Here[PlanState], checks: tuple[PreflightCheck, ...]) -> 
 def _title(snapshot: Snapshot, job: Job) -> Markup:
     plan, n = snapshot.draft.plan, len(job.all_fields())
     takes = f" · {duration(plan.predicted_s)}" if plan is not None else ""
-    below = f"Revision {job.revision}, released · {n} field{'s' if n > 1 else ''}{takes}"
+    below = f"Revision {job.revision}, released · {plural(n, 'field')}{takes}"
     return html.title(
         job.product, below, html.title_action("Another job…", html.command_pick("jobs")) + unfold(more=True)
     )

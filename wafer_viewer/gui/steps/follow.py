@@ -11,7 +11,7 @@ from markupsafe import Markup
 from wafer_viewer.draw.charts.axes import ChartAxes, PlotLook, plot_html, round_ticks
 from wafer_viewer.draw.charts.wafer_map import MapViewport, map_frame
 from wafer_viewer.draw.colormaps import Rgb
-from wafer_viewer.draw.number_format import number, with_unit
+from wafer_viewer.draw.number_format import number, plural, with_unit
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Toggle
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.scenes.plan_scene import WINDOW_COLOUR, FollowedPlan, followed
@@ -147,7 +147,7 @@ def _no_focus(shown: FollowedPlan) -> Markup:
     if not shown.blank:
         return Markup()
     n, numbers = len(shown.blank), ", ".join(map(str, sorted(shown.blank)[:8]))
-    name = f"No focus in {n} place{'s' if n > 1 else ''}"
+    name = f"No focus in {plural(n, 'place')}"
     whole = with_unit(shown.plan.sweep.range_um, 0)
     take = "It takes" if n == 1 else "They take"
     return html.note("attention", name, f"Field{'s' if n > 1 else ''} {numbers}. {take} the whole sweep, {whole}.")

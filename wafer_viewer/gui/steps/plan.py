@@ -10,7 +10,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import THIN, duration, number, share, size, with_unit
+from wafer_viewer.draw.number_format import THIN, duration, number, plural, share, size, with_unit
 from wafer_viewer.gui.dialogs.open_and_export import load_plan_dialog, save_dialog
 from wafer_viewer.gui.elements.elements import (
     Button,
@@ -235,7 +235,7 @@ def grid_head(snapshot: Snapshot) -> Markup:
         return html.head("Fields", f"{len(job.fields)} fields from the plan's list")
     n = job.grid.rows * job.grid.cols
     extent = f"{number(job.grid.width_um, 0)} × {with_unit(job.grid.height_um, 0)}"
-    return html.head("Field grid", f"{n} field{'s' if n > 1 else ''} · {extent}")
+    return html.head("Field grid", f"{plural(n, 'field')} · {extent}")
 
 
 def _sweep_head(draft: Draft) -> Markup:

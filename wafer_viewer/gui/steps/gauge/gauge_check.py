@@ -10,7 +10,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
-from wafer_viewer.draw.number_format import THIN, number, value_and_u
+from wafer_viewer.draw.number_format import THIN, number, plural, value_and_u
 from wafer_viewer.gui.elements.elements import Elements, Html
 from wafer_viewer.gui.elements.step import Here, Overlay, Picks
 from wafer_viewer.gui.overlays.hud import EDGE_PX
@@ -102,7 +102,7 @@ def below(chart: RunChart | None, serials: str, chosen: str) -> Markup:
 
 def _chart_head(chart: RunChart, serials: str) -> Markup:
     n = len(chart.points)
-    counted = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
+    counted = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else plural(n, "check")
     caption = f"{counted} of {serials}"
     mean, spread, limit = Markup(), Markup(), Markup()
     if n > 1:

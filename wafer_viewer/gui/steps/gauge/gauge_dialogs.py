@@ -8,7 +8,7 @@ from typing import Annotated
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import number, with_unit
+from wafer_viewer.draw.number_format import number, plural, with_unit
 from wafer_viewer.gui.dialogs.dialog import WAIT_S, Confirm, sign_dialog
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.elements.elements import Elements, Html, Stack
@@ -114,7 +114,7 @@ def sign_check_dialog(page: Page, check: GaugeCheck) -> None:
     """Open the dialog that signs a check; it repeats verdict and error and asks for a name."""
     word, _, tone = LOOKS[check.verdict]
     below = "It is saved with the dataset and in the log of checks and cannot be changed."
-    error, scans = with_unit(check.deviation.value_um, 3, signed=True), f"{check.n} scan{'' if check.n == 1 else 's'}"
+    error, scans = with_unit(check.deviation.value_um, 3, signed=True), plural(check.n, "scan")
     summary = Markup('<div style="padding:2px 0 8px"><b style="color:var(--{})">{}</b> · error {} · {}</div>')
     sign_dialog(
         page,

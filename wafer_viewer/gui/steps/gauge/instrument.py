@@ -11,7 +11,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, HistoryPoint, history_chart_html
-from wafer_viewer.draw.number_format import NOTHING, number, share, value_and_u
+from wafer_viewer.draw.number_format import NOTHING, number, plural, share, value_and_u
 from wafer_viewer.gui.dialogs.dialog import Confirm, Dialog, ask, sign_dialog
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, NumberOrEmpty
 from wafer_viewer.gui.elements.step import Here, Picks
@@ -340,7 +340,7 @@ def history_chart(history: CalibrationHistory) -> Markup:
     newest = history.records[-1].result.characteristics[0]
     label = labelled(newest)
     n, shown = len(history.records), min(len(history.records), MOST_POINTS)
-    counted = f"last {shown} of {n}" if shown < n else f"{n} calibration{'' if n == 1 else 's'}"
+    counted = f"last {shown} of {n}" if shown < n else plural(n, "calibration")
     head = Markup(
         '<div class="wv-dock wv-run-head"><b>{}</b><span class="dim wv-cut" title="{}">{}</span>{}'
         '<span class="wv-end"><span class="wv-hint">bars are U, k = 2</span></span></div>'

@@ -13,7 +13,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
-from wafer_viewer.draw.number_format import number, share, value_and_u, with_unit
+from wafer_viewer.draw.number_format import number, plural, share, value_and_u, with_unit
 from wafer_viewer.gui.elements.elements import (
     Button,
     Buttons,
@@ -200,7 +200,7 @@ def _area_words(snapshot: Snapshot) -> str:
     grid = job.grid if job is not None and job.grid is not None else one_field(limits)
     grid = covering_grid(grid, (0.0, 0.0), (abs(xa - xb), abs(ya - yb)))
     n = grid.rows * grid.cols
-    return f"{number(abs(xa - xb), 0)} × {with_unit(abs(ya - yb), 0)} · {n} field{'s' if n > 1 else ''}"
+    return f"{number(abs(xa - xb), 0)} × {with_unit(abs(ya - yb), 0)} · {plural(n, 'field')}"
 
 
 def _depth_words(live: LiveState) -> str:

@@ -12,7 +12,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.wafer_map import MapMark
-from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.number_format import number, plural
 from wafer_viewer.gui.dialogs.dialog import WAIT_S, Confirm, Dialog, ask, ask_name
 from wafer_viewer.gui.dialogs.file_dialog import FileDialog
 from wafer_viewer.gui.dialogs.open_and_export import FORMAT_HINT, NOT_EXPORTED
@@ -80,7 +80,7 @@ def overlay_html(other: OtherTool, defects: tuple[Defect, ...]) -> Markup:
     head = Markup('<div class="wv-h">{}<span>{}</span></div>').format(other.name, away)
     simulated = "SIMULATED. " if other.klarf.simulated else ""
     summary = (
-        f"{simulated}{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
+        f"{simulated}{plural(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
         f"{len(compared) - both} found here {'is' if len(compared) - both == 1 else 'are'} not in the file. "
         f"The same within {number(other.within_um, 0)} µm; {other.by}."
     )
@@ -107,10 +107,6 @@ def _box_around(bounds: Box, least_um: float) -> Box:
     half = max(ROUND * max(x1 - x0, y1 - y0), least_um) / 2
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     return x - half, y - half, x + half, y + half
-
-
-def _counted(n: int, what: str) -> str:
-    return f"1 {what}" if n == 1 else f"{number(n, 0)} {what}s"
 
 
 # ------------------------------------------------------------------------------------------------------- defect dialogs
