@@ -61,6 +61,17 @@ def test_the_page_takes_the_place_of_its_first_sight(serve_anew: Callable[[fake.
     expect(page.locator("#wv-shell")).to_have_count(0)
 
 
+def test_the_card_of_the_first_start_is_the_first_that_tab_comes_to(serve_anew: Callable[[fake.FakeSession], Page]):
+    page = serve_anew(fake.FakeSession(fake.empty()))
+    plan = page.get_by_role("button", name="Plan a scan")
+    expect(plan).to_be_visible()
+    page.keyboard.press("Tab")
+    expect(plan).to_be_focused()
+    for _ in range(3):
+        page.keyboard.press("Tab")
+    expect(page.locator("[data-pick=tour]")).to_be_focused()
+
+
 def test_slow_graphics_are_told_at_the_foot_and_not_over_the_tools(serve_anew: Callable[[fake.FakeSession], Page]):
     page = serve_anew(fake.FakeSession(fake.planned()))
     expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")

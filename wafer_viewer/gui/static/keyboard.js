@@ -58,6 +58,14 @@ window.addEventListener('keydown', event => {
   }
 }, true);
 
+/* The card of the first start comes first. */
+window.addEventListener('keydown', event => {
+  const card = document.querySelector('.wv-card')?.closest('[data-floating-window]');
+  if (event.key !== 'Tab' || event.shiftKey || !card || document.activeElement !== document.body) return;
+  event.preventDefault();
+  [...card.querySelectorAll('button')].find(button => button.checkVisibility())?.focus();
+});
+
 /* A key that moved a slider does nothing else: viser's camera would turn with it. */
 const MOVES = ['ArrowUp', 'ArrowDown', 'ArrowLeft', 'ArrowRight', 'PageUp', 'PageDown', 'Home', 'End'];
 document.body.addEventListener('keydown', event => {
