@@ -25,6 +25,7 @@ from .measure.tools.coplanarity import coplanarity as coplanarity
 from .measure.tools.die_size import die_size as die_size
 from .measure.tools.flatness import flatness as flatness
 from .measure.tools.kerf import kerf_width as kerf_width
+from .measure.tools.particles import particles as particles
 from .measure.tools.point import distance as distance
 from .measure.tools.point import point_height as point_height
 from .measure.tools.profile import profile as profile
@@ -77,6 +78,7 @@ from .model.measurement.measurements import Roughness as Roughness
 from .model.measurement.measurements import StepHeight as StepHeight
 from .model.measurement.measurements import StepProfile as StepProfile
 from .model.measurement.measurements import Texture as Texture
+from .model.measurement.particles import Particles as Particles
 from .model.measurement.tool_options import Conditions as Conditions
 from .model.measurement.tool_options import Levelling as Levelling
 from .model.quantity import Length as Length

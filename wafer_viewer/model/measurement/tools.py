@@ -36,6 +36,7 @@ from wafer_viewer.model.measurement.measuring_tool import (
     line_place,
     rectangle_place,
 )
+from wafer_viewer.model.measurement.particles import ParticleOptions, Particles
 from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
     CircleOptions,
@@ -274,6 +275,46 @@ _BUILT_IN = (
                 "reference",
                 {"Least squares": "least_squares", "Seating plane": "seating"},
                 help="The plane of least squares through all tops, or the seating plane.",
+            ),
+        ),
+    ),
+    MeasuringTool(
+        name="particles",
+        title="Particles",
+        short="Particles",
+        summary="particles or grains: place, size, height and volume of each",
+        help="Particles or grains that stand out of a face: place, size, height and volume of each. Stage um.",
+        how="Drag the region over the face and what lies on it.",
+        result=Particles,
+        measure="wafer_viewer.measure.tools.particles:particles",
+        places=(rectangle_place("face"),),
+        initial="all in view",
+        group="What stands out",
+        symbol="G",
+        main="mean diameter",
+        icon="circles",
+        options=ParticleOptions,
+        controls=(
+            ChoiceControl(
+                "They stand", "stand", {"Above": "above", "Below": "below"}, help="Above or below the plane."
+            ),
+            NumberControl(
+                "Over the plane, µm",
+                "over_um",
+                "Empty: six deviations of the face",
+                help="Height over the plane that belongs to a particle; six robust deviations of the face by default.",
+            ),
+            ChoiceControl(
+                "Touching ones",
+                "split",
+                {"One": "none", "By their tops": "tops"},
+                help="Touching ones are one particle, or grains by the watershed of their tops.",
+            ),
+            NumberControl(
+                "Least diameter, µm",
+                "least_um",
+                "Empty: the focus window",
+                help="Smaller ones are left out; smaller than the focus window by default.",
             ),
         ),
     ),

@@ -18,6 +18,7 @@ from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.measurement.measurements import Bump, Chip
+from wafer_viewer.model.measurement.particles import Particle
 from wafer_viewer.model.measurement.result_rows import Row, rows
 from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.model.quantity import Quantity
@@ -83,9 +84,9 @@ def _numbers(part: Spec) -> list[Row]:
 
 
 def _parts(finding: AnyResult) -> Iterator[tuple[Row, str, list[str]]]:
-    """Yield the numbers of each chip or bump of a result, with its name and position."""
-    for kind, field in (("chip", "chips"), ("bump", "bumps")):
-        found: tuple[Chip | Bump, ...] = getattr(finding, field, ())
+    """Yield the numbers of each chip, bump or particle of a result, with its name and position."""
+    for kind, field in (("chip", "chips"), ("bump", "bumps"), ("particle", "particles")):
+        found: tuple[Chip | Bump | Particle, ...] = getattr(finding, field, ())
         for k, part in enumerate(found, 1):
             place = [f"{part.place.x_um:.2f}", f"{part.place.y_um:.2f}"]
             yield from ((row, f"{kind} {k} {row.name}", place) for row in _numbers(part))
