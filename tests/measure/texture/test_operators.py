@@ -63,3 +63,9 @@ def test_the_area_of_a_mask_is_what_its_holes_leave():
     assert ring.area_um2 == pytest.approx(np.pi * 12, rel=2e-3)
     half_out = Region.rectangle(0, 0, 10, 10).without(Region.rectangle(5, -5, 15, 15))
     assert half_out.area_um2 == pytest.approx(50, rel=2e-3)
+
+
+def test_numbers_in_place_of_a_region_are_refused_with_what_to_give():
+    surface = height_map(noise().astype(np.float32), 0.5, 0.0, 59.5)
+    with pytest.raises(MeasureError, match=r"The face region is \(1, 2, 3, 4\): give a Region"):
+        texture(surface, (1, 2, 3, 4))

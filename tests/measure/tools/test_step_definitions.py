@@ -112,6 +112,7 @@ def test_a_face_may_have_several_regions():
     ("upper", "lower", "sentence"),
     [
         ((), LOWER, "No upper region was given: draw at least one on the upper face"),
+        ((500, 1), LOWER, "The upper region is 500: give a Region, as of Region.rectangle"),
         ((UPPER, UPPER), LOWER, "The two regions share"),
         ((UPPER, Region.point(0, 0)), LOWER, "The upper region is a point and has no area"),
         (Region.rectangle(-500, -50, -40, 50), LOWER, "Only 26 % of the upper region is measured and a step height"),

@@ -117,8 +117,15 @@ def length_without_budget(value_um: float, provenance: Provenance, calibration_v
     return Length(value_um=value_um, status="not evaluated" if calibrated else "uncalibrated")
 
 
+def require_region(region: object, what: str) -> None:
+    """Raise MeasureError for what is no region."""
+    if not isinstance(region, Region):
+        raise MeasureError(f"The {what} region is {region!r}: give a Region, as of Region.rectangle(x0, y0, x1, y1).")
+
+
 def require_area(region: Region, what: str) -> None:
-    """Raise MeasureError for a line or a point, which have no area to measure."""
+    """Raise MeasureError for what is no region, and for a line or a point, which have no area to measure."""
+    require_region(region, what)
     if region.kind in ("line", "point"):
         raise MeasureError(
             f"The {what} region is a {region.kind} and has no area: draw a rectangle, a circle or a polygon."

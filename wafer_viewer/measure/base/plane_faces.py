@@ -16,7 +16,15 @@ from wafer_viewer.measure.base.error_covariance import (
     errors_of,
     side_by_side,
 )
-from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, points_in, require_area
+from wafer_viewer.measure.base.height_samples import (
+    Floats,
+    HeightSamples,
+    Layer,
+    level_for,
+    points_in,
+    require_area,
+    require_region,
+)
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
 from wafer_viewer.measure.base.robust_fit import LevelPlane, fit_plane, least_squares, plane_design
 from wafer_viewer.model.errors import MeasureError
@@ -138,6 +146,8 @@ def as_region_tuple(regions: Regions, which: str) -> tuple[Region, ...]:
     each = (regions,) if isinstance(regions, Region) else tuple(regions)
     if not each:
         raise MeasureError(f"No {which} region was given: draw at least one on the {which} face.")
+    for region in each:
+        require_region(region, which)
     return each
 
 

@@ -159,7 +159,7 @@ def _measured(area: Area, rises: Floats, labels: Labels, least_um: float) -> tup
     pixel_um = area.pixel_um
     left_um, top_um = float(area.points.x_um.min()), float(area.points.y_um.max())
     unknown = np.pad(np.isnan(rises), 1, constant_values=True)
-    beside = np.asarray(binary_dilation(unknown, np.ones((3, 3))))[1:-1, 1:-1]
+    beside = np.asarray(binary_dilation(unknown, np.ones((3, 3))), bool)[1:-1, 1:-1]
     cut = set(np.unique(labels[beside]).tolist()) - {0}
     found: list[Particle] = []
     n_cut = 0
