@@ -248,9 +248,9 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
             tool.key,
             lambda t=tool.name: use_tool(page, t),
             icon_of(tool),
-            "shift" if tool.shift else None,
+            tool.modifier,
             "Measure",
-            here=not_on_defect if tool.shift else None,
+            here=not_on_defect if tool.modifier == "shift" else None,
         )
         for tool in TOOLS.values()
         if tool.key

@@ -28,7 +28,7 @@ def icon_of(tool: MeasuringTool) -> Any:
 
 def hint(tool: MeasuringTool) -> str:
     """Return the tooltip of a tool: its title and key."""
-    keys = f" · {'shift + ' if tool.shift else ''}{tool.key}" if tool.key else ""
+    keys = f" · {f'{tool.modifier} + ' if tool.modifier else ''}{tool.key}" if tool.key else ""
     return f"{tool.title}{keys}"
 
 
@@ -61,8 +61,11 @@ def _icon(tool: MeasuringTool, chosen: bool, named: bool) -> Markup:
     )
 
 
+_SIGNS = {"shift": "⇧", "alt": "⌥", None: ""}
+
+
 def _card(tool: MeasuringTool) -> Markup:
-    keys = Markup("<kbd>{}{}</kbd>").format("⇧" if tool.shift else "", tool.key) if tool.key else Markup()
+    keys = Markup("<kbd>{}{}</kbd>").format(_SIGNS[tool.modifier], tool.key) if tool.key else Markup()
     label = Markup('title="{}" aria-label="{}"').format(tool.how, tool.title)
     name = tool.short
     return Markup("<div {label} {pick}>{icon}<span>{name}</span>{keys}</div>").format(

@@ -92,7 +92,8 @@ class MeasuringTool:
     measure: ``module:function`` or the function, ``f(surface, *regions, calibration_valid=..., **options) -> result``.
     initial: feature on which its regions are placed; symbol: letter of its results; main: label of the main quantity,
     if the title does not tell it; signed: a positive main quantity has a sign.
-    icon: Tabler icon; key: on the keyboard, with or without shift.
+    icon: Tabler icon; key: on the keyboard, with shift, or alt in its place, or
+    without.
     on_picture: it evaluates the all-in-focus picture and no heights.
     """
 
@@ -112,6 +113,7 @@ class MeasuringTool:
     result_name: str = ""
     key: str = ""
     shift: bool = True
+    alt: bool = False
     main: str = ""
     signed: bool = False
     on_toolbar: bool = False
@@ -123,6 +125,11 @@ class MeasuringTool:
         names = getattr(self.result, "main_fields", ())
         if not names or not set(names) <= set(self.result.__struct_fields__):
             raise TypeError(f"{self.result.__name__} must name the field with its main quantity in main_fields")
+
+    @property
+    def modifier(self) -> Literal["shift", "alt"] | None:
+        """Key held with its key."""
+        return "alt" if self.alt else "shift" if self.shift else None
 
     @property
     def tag(self) -> str:

@@ -293,6 +293,8 @@ _BUILT_IN = (
         symbol="G",
         main="mean diameter",
         icon="circles",
+        key="P",
+        alt=True,
         options=ParticleOptions,
         controls=(
             ChoiceControl(
