@@ -38,7 +38,7 @@ from wafer_viewer.reconstruct.field_pipeline import (
     vetoed,
 )
 from wafer_viewer.reconstruct.gates import evidence
-from wafer_viewer.reconstruct.gates.evidence import LEAST_AROUND
+from wafer_viewer.reconstruct.gates.evidence import LEAST_FAR
 from wafer_viewer.reconstruct.gates.evidence_scores import CELL_SCORES, PIXEL_SCORES
 
 SCORES = (*PIXEL_SCORES, *CELL_SCORES)
@@ -216,7 +216,7 @@ def write(trees: Boosted) -> None:
 def counted(scene: Sampled, told: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
     """Which points count: none in a scene of which hardly anything is probable."""
     probable = told >= least
-    return probable & (scene.covered * probable.mean() >= LEAST_AROUND)
+    return probable & (scene.covered * probable.mean() >= LEAST_FAR)
 
 
 def judged(scenes: Sequence[Sampled], some: Sequence[int], kept: Sequence[NDArray[np.bool_]]) -> tuple[str, str]:

@@ -31,11 +31,11 @@ from wafer_viewer.reconstruct.gates.edge_sides import cell_means, cell_medians
 from wafer_viewer.reconstruct.gates.evidence_scores import CELL_SCORES, FAR_CELLS, PIXEL_SCORES, Scores, compare_cells
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
 
-LEAST_AROUND = 0.1
-"""Share of pixels with a probable height in `FAR_CELLS`, below which none counts: tests/bench/train_evidence.py.
+LEAST_FAR, LEAST_AROUND = 0.2, 0.1
+"""Share of pixels with a probable height in `FAR_CELLS`, and in a square of four windows, below which none counts.
 
-Where hardly anything is probable, what is may be the same error of a whole scene. The same share is asked of a square
-of four windows: on bare ground a few heights that are wrong together are the only ones far and wide.
+Where hardly anything is probable, what is may be the same error of a whole scene: tests/bench/train_evidence.py. On
+bare ground a few heights that are wrong together are the only ones far and wide.
 """
 _ROWS = 32
 """Rows of pixels that are weighed together; a multiple of `COARSE_PX`."""
@@ -288,8 +288,8 @@ def alone(probable: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
     shape = probable.shape
     share = cell_means(probable.view(np.uint8), (-(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)))
     while True:
-        fewest = np.minimum(_mean_inside(share, window | 1), _mean_inside(share, FAR_CELLS))
-        few = (fewest < LEAST_AROUND) & (share > 0)
+        few = (_mean_inside(share, window | 1) < LEAST_AROUND) | (_mean_inside(share, FAR_CELLS) < LEAST_FAR)
+        few &= share > 0
         if not few.any():
             return repeated(share == 0, COARSE_PX, shape)
         share[few] = 0
