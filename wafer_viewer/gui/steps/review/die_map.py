@@ -143,7 +143,10 @@ def _mark(defect: Defect) -> MapMark:
     return MapMark(defect.center.x_um, defect.center.y_um, look.colour, name, chosen=True, shape=look.shape)
 
 
-BY: dict[MapBy, str] = {name: name.capitalize() for name in ("class", "count", *DIE_UNITS)} | {"brightness": "Bright"}
+BY: dict[MapBy, str] = {
+    name: "Bright" if name == "brightness" else name.capitalize() for name in ("class", "count", *DIE_UNITS)
+}
+"""Short titles of what colours the dies: six stand side by side in the panel."""
 MOST_DIES = 8
 """Rows of the table of dies, those that lie or shine farthest off."""
 MOST_SIGNS = 400
