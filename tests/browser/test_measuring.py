@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
 UNITS = {"angle": "°", "volume": "pl"}
-ELSEWHERE = ("profile", "kerf", "die", "circle", "chipping", "coplanarity")
+ELSEWHERE = ("profile", "kerf", "die", "circle", "chipping", "coplanarity", "particles")
 """These are measured in tests of their own."""
 KEYS = {"point": "x", "distance": "m", "step": "k", "radius": "r", "flatness": "Shift+F"}
 """The other tools are taken from the toolbar, or by their key where it has no room for them."""

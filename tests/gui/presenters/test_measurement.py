@@ -41,6 +41,7 @@ SHAPED: dict[ToolName, tuple[Region, ...]] = {
     "circle": (Region.circle(0, 0, 9),),
     "chipping": (Region.rectangle(-40, -54, 39, -35),),
     "coplanarity": (Region.rectangle(-52, -40, 51, 40),),
+    "particles": (Region.rectangle(-52, -40, 51, 40),),
 }
 """Of dies with bumps, seen on a picture; all but the bumps have no height."""
 
@@ -98,7 +99,7 @@ def test_every_result_leads_back_to_its_tool_and_its_places(tool, found):
 def test_every_result_says_where_it_comes_from_and_from_which_zero(tool, found):
     text = source(found[tool])
     assert "On the stitched surface" in text
-    assert (stage_zero() in text) == (tool not in SHAPED or tool == "coplanarity")
+    assert (stage_zero() in text) == (tool not in SHAPED or tool in ("coplanarity", "particles"))
     assert "SIMULATED" in text or not found[tool].simulated
 
 

@@ -27,6 +27,7 @@ PLACES = {
     "angle": (LEFT, RIGHT),
     "radius": (CIRCLE,),
     "volume": (Region.rectangle(3, -17, 37, 17),),
+    "particles": (Region.rectangle(-10, -35, 45, 35),),
     "flatness": (LEFT,),
     "texture": (LEFT,),
     "roughness": (Region.line(-40, -20, -10, -20),),

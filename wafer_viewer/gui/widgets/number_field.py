@@ -44,6 +44,8 @@ EMPTY: dict[str, str] = {
     "Noise, µm": "not known: no U",
     **dict.fromkeys(("S-filter, µm", "L-filter, µm", "λc, µm", "λs, µm"), NO_FILTER),
     "Chip over, µm": "4 σ of the edge",
+    "Over the plane, µm": "6 σ of the face",
+    "Least diameter, µm": "focus window",
     **dict.fromkeys(("c of Smr(c), µm", "Ratio of Smc, %"), "not evaluated"),
     "Site width, µm": "a quarter",
     "Site height, µm": "a quarter",

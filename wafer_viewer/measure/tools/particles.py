@@ -120,9 +120,10 @@ def particles(
 def _over_plane(area: Area, sign: int) -> tuple[Floats, float]:
     """Return heights [row, col] over the robust plane of a face, NaN where unmeasured, and their robust deviation."""
     points = area.points
-    plane, _ = fit_plane(points)
+    plane, fit = fit_plane(points)
     over = points.z_um - np.asarray(plane.at(points.x_um, points.y_um))
-    scatter_um = 1.4826 * float(np.median(np.abs(over - np.median(over))))
+    ground = over[fit.inliers]
+    scatter_um = 1.4826 * float(np.median(np.abs(ground - np.median(ground))))
     placed = HeightSamples(points.x_um, points.y_um, sign * over)
     return lattice_of(replace(area, points=placed)), scatter_um
 
