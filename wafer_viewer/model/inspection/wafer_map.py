@@ -67,8 +67,24 @@ class WaferMap(Spec, frozen=True, kw_only=True):
     def on(self, dies: tuple[DieStatus, ...], notch: Notch = "none") -> dict[Place, MapDie]:
         """Return its dies by the column and row of inspected dies.
 
-        Dies correspond by die 0,0 if the map states it, else by their outermost columns and rows. Raises DatasetError
-        if these are not as many.
+        Dies correspond by die 0,0 if the map states it, else by their outermost columns and rows.
+
+        Parameters
+        ----------
+        dies : tuple of DieStatus
+            The inspected dies.
+        notch : {"none", "up", "down", "left", "right"}
+            Side of the notch of the inspected wafer.
+
+        Returns
+        -------
+        dict of MapDie
+            The dies of the map by (column, row).
+
+        Raises
+        ------
+        DatasetError
+            If columns or rows are not as many.
         """
         turned = self.turned(notch)
         cols, rows = (sorted({getattr(die, name) for die in dies}) for name in ("col", "row"))
