@@ -17,7 +17,6 @@ from typing import Any
 
 import pytest
 
-from tests.support.patience import PATIENCE_S
 from wafer_viewer.compute.child_process import ChildProcess
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import ComputeUp, ComputeWarm, Progressed, WarmUp
@@ -30,6 +29,8 @@ _pools: list[tuple[object, ProcessPoolExecutor]] = []
 _new_pool = render_process._new_pool
 CHANGING = "PYTEST_CURRENT_TEST", "TCM_ENABLE"
 """Variables that change without a test: the second one is set by the threading library that numba loads."""
+END_S = 5.0
+"""Longest wait for works that were told to stop; a host that still has some is ended with its session."""
 _sessions = count(1)
 
 
@@ -94,7 +95,7 @@ class KeptCompute(Compute):
         if link is not None and link.alive and self._is_own and not _hosts:
             for work in set(self._works.values()):
                 self.cancel(work)
-            if not wait(list(self._works), PATIENCE_S).not_done and link.alive:
+            if not wait(list(self._works), END_S).not_done and link.alive:
                 link._on_event, link._on_exit = self._note, lambda _: None
                 _hosts.append((_environment(), link, self._news))
                 return
