@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defects.array_rim import beyond_wafer, lies_in_outer_street, open_sides, outer_street
 from wafer_viewer.measure.defects.die_form import DieForm
 from wafer_viewer.measure.defects.golden_die import SPREAD, ReferenceDie, die_shift, evenly_spaced, robust_sigma
 from wafer_viewer.measure.defects.matched_filters import contrast_of, is_plain, spectrum_of, subtract_local_mean
@@ -47,7 +48,8 @@ DIFFERS_SIGMA = 5
 class ComparisonWork:
     """Reference and settings of the comparison of all cells.
 
-    on_dies: cells are dies, which are registered and flattened; excluded: mask of the pixels of every cell to ignore.
+    on_dies: cells are dies, which are registered and flattened; excluded: mask of the pixels of every cell to ignore;
+    missing: places without a die.
     """
 
     source: CellSource
@@ -56,6 +58,7 @@ class ComparisonWork:
     recipe: DefectRecipe
     on_dies: bool
     excluded: Mask | None = None
+    missing: frozenset[Place] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +128,18 @@ def _residual(work: ComparisonWork, source: Read, place: Place) -> tuple[Residua
     if not work.on_dies:
         z_um, excluded = over_levels(cell[0], work.source.levels_um)
         cell = z_um, subtract_local_mean(cell[1]) if work.recipe.evidence != "height" else cell[1]
+    elif (beyond := beyond_wafer(cell[0], work.golden.z_um, _sides(work, place))) is not None:
+        cell = _less(cell[0], beyond), _less(cell[1], beyond)
     die = work.cells.die if work.on_dies else None
     return residual_of(place, cell, work.golden, work.cells.pixel_um, die, excluded), shift
+
+
+def _sides(work: ComparisonWork, place: Place) -> frozenset[Place]:
+    return open_sides(work.cells, place, work.missing) if work.on_dies else frozenset()
+
+
+def _less(plane: Plane, mask: Mask) -> Plane:
+    return np.where(mask, np.float32(np.nan), plane)
 
 
 def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseModel) -> CellResult:
@@ -138,12 +151,17 @@ def _result(work: ComparisonWork, strip: CellStrip, place: Place, noise: NoiseMo
     where, counts = Where(work.cells, shift), new_counts()
     add_to_peak_histogram(scores, work.recipe, work.cells.shape, counts)
     pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
+    compared = np.isfinite(residual.z_um)
+    if sides := _sides(work, place):
+        grid = work.cells.grid
+        pieces = [one for one in pieces if not lies_in_outer_street(grid, place, sides, one.x_um, one.y_um)]
+        compared &= ~outer_street(work.cells, sides)
     return CellResult(
         place,
         pieces,
         counts,
         residual.form,
-        int(np.count_nonzero(np.isfinite(residual.z_um))),
+        int(np.count_nonzero(compared)),
         int(np.count_nonzero(residual.missing)),
         _differs(residual.z_um, work.golden.z_spread_um),
     )

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace as with_changes
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,13 +179,14 @@ def inspect(
     dies = statuses(surface, grid) if grid is not None else ()
     on_dies = without_bare_rim(surface, grid, dies) if grid is not None and against == "dies" else None
     work, reference, notes = _work(source, on_dies, recipe, golden)
+    missing = missing_dies(dies, work) if work.on_dies else set[Place]()
+    work = with_changes(work, missing=frozenset(missing))
     places = work.cells.grid.places
     noise = estimate_noise(work, places)
     rows = work.cells.side_by_side(places)
     with closing((rows_by or _one_by_one)(work, noise, rows)) as by_row:
         results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
     _require_likeness(results, golden)
-    missing = missing_dies(dies, work) if work.on_dies else set[Place]()
     forms = die_forms(results, missing) if work.on_dies else {}
     whole_dies = whole_die_defects(forms, missing, work, reading) if work.on_dies else {}
     defects = _defects(results, whole_dies, work, reading)

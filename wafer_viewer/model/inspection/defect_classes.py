@@ -303,10 +303,11 @@ class FabClass(Spec, frozen=True, kw_only=True):
             self.refuse("name", f"another name, or kind {self.name!r}: it is that of a built-in class")
         if not _COLOUR.fullmatch(self.colour):
             self.refuse("colour", "a colour as #RRGGBB, such as #CA8515")
-        if self.key and not (self.key.isascii() and self.key.isdigit() and len(self.key) == 1):
-            self.refuse("key", "one digit, or empty")
+        if self.key not in CLASS_KEYS:
+            self.refuse("key", "one digit from 1 to 9, or empty")
 
 
+CLASS_KEYS = ("", *"123456789")
 _COLOUR = re.compile("#[0-9A-Fa-f]{6}")
 FabClasses = tuple[FabClass, ...]
 

@@ -29,7 +29,7 @@ from wafer_viewer.gui.presenters.review import (
 )
 from wafer_viewer.gui.state.view_state import View, listed
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable
+from wafer_viewer.model.inspection.defect_classes import CLASS_KEYS, DEFECT_CLASSES, ClassTable
 from wafer_viewer.model.job import Verdict
 from wafer_viewer.model.spec import replace as with_fields
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -251,7 +251,7 @@ def review_commands(review: Review) -> list[Command]:
             ),
             *(
                 replace(command, here=_both(_with_own_classes, command.here), listed=False)
-                for key in "1234567890"
+                for key in CLASS_KEYS[1:]
                 for command in commands(
                     f"Class on key {key}",
                     key,
