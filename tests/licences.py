@@ -36,6 +36,7 @@ _WORDS = {
     "bsd license": "BSD",
     "bsd": "BSD",
     "bsd-3-clause": "BSD-3-Clause",
+    "3-clause bsd": "BSD-3-Clause",
     "bsd 3-clause license": "BSD-3-Clause",
     "bsd 2-clause license": "BSD-2-Clause",
     "bsd-2-clause": "BSD-2-Clause",
