@@ -262,8 +262,7 @@ if [ "$what" = all ]; then
   step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
   # The examples have run in the tests.
   WAFER_VIEWER_GALLERY=no start_beside "$bin/wafer-viewer" docs --build
-  # Workers wait for the page, and the page for them.
-  step "Browser tests" run_tests -n 3 --dist loadfile -m "not real_time and not hardware" tests/browser
+  step "Browser tests" run_tests -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser
   step "Documentation" end_beside
 fi
 if [ "$what" = campaigns ]; then step "Campaigns" all_campaigns "${@:2}"; fi
