@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.arguments import DatasetFolder, File, Out, Sources
 from wafer_viewer.cli.output import progress
+from wafer_viewer.draw.number_format import plural
 from wafer_viewer.model.measurement.template import PlacesFrom
 
 TemplateFile = Annotated[Positional[Path], arg(metavar="TEMPLATE.toml")]
@@ -30,8 +31,7 @@ def measure_template(
 
     template = template_of(dataset, result=result, places_from=places_from)
     write_template(template, out)
-    n = len(template.measurements)
-    print(f"{out}: {n} measurement{'' if n == 1 else 's'}")
+    print(f"{out}: {plural(len(template.measurements), 'measurement')}")
 
 
 def measure_apply(

@@ -12,7 +12,7 @@ import wafer_viewer as wv
 from tests.support.surfaces import height_map
 from wafer_viewer import Region
 from wafer_viewer.cli.app import main
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.template import MeasurementTemplate, TemplateItem
 from wafer_viewer.model.measurement.tool_options import Levelling, TextureOptions
 from wafer_viewer.model.measurement.tools import ToolOptions
@@ -81,6 +81,14 @@ def test_no_cell_of_the_workbook_is_a_formula(parts):
     wv.apply_template(TEMPLATE, [parts / "a.npz"], table)
     sheet = openpyxl.load_workbook(table).active
     assert {cell.data_type for row in sheet.rows for cell in row} <= {"s", "n"}
+
+
+def test_without_openpyxl_nothing_is_measured_for_a_workbook(parts, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    told = []
+    with pytest.raises(DatasetError, match=r"pip install 'wafer-viewer\[tables\]', or choose .csv"):
+        wv.apply_template(TEMPLATE, [parts / "a.npz"], parts / "none.xlsx", told=told.append)
+    assert not told
 
 
 def test_a_second_run_goes_on_with_what_is_new_and_makes_the_same_cells(parts):

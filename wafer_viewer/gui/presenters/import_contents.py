@@ -12,7 +12,7 @@ import viser
 from markupsafe import Markup
 
 from wafer_viewer.draw.charts.profile_plot import sharpness_plot_html
-from wafer_viewer.draw.number_format import MINUS, THIN, number, size, with_unit
+from wafer_viewer.draw.number_format import THIN, number, size, with_unit
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.acquisition.image_source import ImageOptions
 from wafer_viewer.model.file_contents import Fact, FileContents, FrameFact
@@ -289,7 +289,7 @@ def facts_html(contents: FileContents | None) -> Markup:
 
 def _fact(fact: Fact) -> Markup:
     tone = "attention" if fact.name == "missing frames" or fact.value == "simulated" else ""
-    value = re.sub(r"(?<!\w)-(?=\d)", MINUS, html.typeset(fact.value).replace(" x ", " × "))
+    value = html.typeset(fact.value).replace(" x ", " × ")
     source = Markup("<small>{}</small>").format(fact.source) if fact.source else Markup()
     return Markup('<div><span>{}</span><span class="{}">{}{}</span></div>').format(
         fact.name[:1].upper() + fact.name[1:], tone, value, source

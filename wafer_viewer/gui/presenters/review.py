@@ -120,7 +120,7 @@ def chosen_item(snapshot: Snapshot, view: View) -> ReviewItem | None:
 def item_at(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
     """Return the item of a key, listed or not; None if there is none."""
     if (defect := chosen_defect(snapshot, key)) is not None:
-        return item_of(defect, classes_of(snapshot))
+        return item_of(defect, classes_of(snapshot.inspection))
     return next((item for item in review_items(snapshot) if item.key == key), None)
 
 
@@ -190,7 +190,7 @@ def _defects(snapshot: Snapshot, listing: DefectListing) -> tuple[ReviewItem, ..
 
 @lru_cache(maxsize=8)
 def _listed(state: InspectionState, listing: DefectListing) -> tuple[ReviewItem, ...]:
-    table = state.inspection.recipe.class_table if state.inspection is not None else DEFECT_CLASSES
+    table = classes_of(state)
     return tuple(item_of(defect, table) for defect in listed(state.defects, listing))
 
 
@@ -198,10 +198,9 @@ _items: dict[int, tuple[Defect, ClassTable, ReviewItem]] = {}
 """Cache of review items by defect number: a judgement changes one of thousands."""
 
 
-def classes_of(snapshot: Snapshot) -> ClassTable:
+def classes_of(state: InspectionState) -> ClassTable:
     """Return the class table of the inspection, the built-in one without an inspection."""
-    inspection = snapshot.inspection.inspection
-    return inspection.recipe.class_table if inspection is not None else DEFECT_CLASSES
+    return state.inspection.recipe.class_table if state.inspection is not None else DEFECT_CLASSES
 
 
 def item_of(defect: Defect, table: ClassTable = DEFECT_CLASSES) -> ReviewItem:

@@ -213,12 +213,16 @@ def similarity(seen: Sequence[Gradients], active: Bools) -> Similarity:
     rich = float(np.percentile(energy, 90))
     scatter = sum(part.scatter for part in parts) / 2
     unbroken, correlation, recurring = np.zeros(n), np.zeros(n), np.zeros(n)
-    for lag in range(PERIODICITY.shortest_px, math.floor(PERIODICITY.longest * (last - first))):
-        alike = np.array([_diagonal(part.product, lag, first, last) for part in parts])
+    lags = range(PERIODICITY.shortest_px, math.floor(PERIODICITY.longest * (last - first)))
+    products = [
+        np.array([_diagonal(part.product, lag, first, last) for part in parts])
+        for lag in range(lags.start - 1, lags.stop + 1)
+    ]
+    for n_before, lag in enumerate(lags):
+        before, alike, after = products[n_before : n_before + 3]
         total = np.array([_diagonal(part.energy, lag, first, last) for part in parts])
         rich_enough = total.sum(axis=0) > PERIODICITY.energy * rich
-        nearly = np.array([_within_a_pixel(part.product, lag, first, last) for part in parts])
-        unbroken[lag] = _longest_run(_dissimilar(nearly, total, floors) & rich_enough)
+        unbroken[lag] = _longest_run(_dissimilar(_within_a_pixel(alike, before, after), total, floors) & rich_enough)
         correlation[lag] = _positive(alike) / max(_positive(total), scatter * total.shape[1], 1e-9)
         recurring[lag] = _recurring(street, crossings, lag)
     middle = (n - 1) / 2
@@ -316,11 +320,12 @@ def _diagonal(plane: Floats, lag: int, first: int, last: int) -> Floats:
     return np.asarray(uniform_filter1d(np.diag(plane, lag), 3), np.float64)[first : last - lag + 1]
 
 
-def _within_a_pixel(plane: Floats, lag: int, first: int, last: int) -> Floats:
-    """Return the largest of the diagonals at a lag and next to it: a pitch is no whole number of pixels."""
-    best = _diagonal(plane, lag, first, last)
-    for near in (_diagonal(plane, lag - 1, first, last)[: len(best)], _diagonal(plane, lag + 1, first, last)):
-        best[: len(near)] = np.maximum(best[: len(near)], PERIODICITY.nearly * near)
+def _within_a_pixel(alike: Floats, *nearby: Floats) -> Floats:
+    """Return the largest products [segment, col] at a lag and next to it: a pitch is no whole number of pixels."""
+    best = alike.copy()
+    for near in nearby:
+        part = best[:, : near.shape[1]]
+        np.maximum(part, PERIODICITY.nearly * near[:, : part.shape[1]], out=part)
     return best
 
 

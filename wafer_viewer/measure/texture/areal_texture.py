@@ -8,9 +8,7 @@ import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext
-from wafer_viewer.measure.base.pixel_noise import (
-    MOST_SIDE,
-)
+from wafer_viewer.measure.base.pixel_noise import MOST_SIDE
 from wafer_viewer.measure.base.plane_faces import area_of, lattice_of
 from wafer_viewer.measure.texture.features import five_heights, peak_numbers, peaks_and_pits
 from wafer_viewer.measure.texture.material_ratio import bearing, height_at, material_ratio_curve, volumes

@@ -17,6 +17,7 @@ from wafer_viewer.model.measurement.particles import Particle, ParticleOptions, 
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 
 DEVIATIONS = 6.0
 """Robust deviations of the face from its plane over which a height belongs to a particle, unless a height is given."""
@@ -123,7 +124,7 @@ def _over_plane(area: Area, sign: int) -> tuple[Floats, float]:
     plane, fit = fit_plane(points)
     over = points.z_um - np.asarray(plane.at(points.x_um, points.y_um))
     ground = over[fit.inliers]
-    scatter_um = 1.4826 * float(np.median(np.abs(ground - np.median(ground))))
+    scatter_um = MAD_TO_SIGMA * float(np.median(np.abs(ground - np.median(ground))))
     placed = HeightSamples(points.x_um, points.y_um, sign * over)
     return lattice_of(replace(area, points=placed)), scatter_um
 

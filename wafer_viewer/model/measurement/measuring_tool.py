@@ -92,8 +92,7 @@ class MeasuringTool:
     measure: ``module:function`` or the function, ``f(surface, *regions, calibration_valid=..., **options) -> result``.
     initial: feature on which its regions are placed; symbol: letter of its results; main: label of the main quantity,
     if the title does not tell it; signed: a positive main quantity has a sign.
-    icon: Tabler icon; key: on the keyboard, with shift, or alt in its place, or
-    without.
+    icon: Tabler icon; key: on the keyboard, with shift, or alt in its place, or without.
     on_picture: it evaluates the all-in-focus picture and no heights.
     """
 

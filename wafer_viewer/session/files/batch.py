@@ -16,7 +16,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.store.io.atomic_files import atomic_write, natural_sort_key
 from wafer_viewer.store.tables.csv_tables import TableWriter, without_apostrophe
-from wafer_viewer.store.tables.workbook import WORKBOOK, write_workbook
+from wafer_viewer.store.tables.workbook import WORKBOOK, require_openpyxl, write_workbook
 
 Work = Callable[[Path], Any]
 DONE, FAILED = "done", "failed"
@@ -84,8 +84,11 @@ def run_batch(
         If there is no source, or the table is not one of a batch or cannot be written.
     """
     paths = expanded(sources)
-    wanted = None if table is None else Path(table)
-    out = wanted if wanted is None or wanted.suffix != WORKBOOK else wanted.with_suffix(".csv")
+    out = None if table is None else Path(table)
+    workbook = out if out is not None and out.suffix == WORKBOOK else None
+    if workbook is not None:
+        require_openpyxl()
+        out = workbook.with_suffix(".csv")
     known = {} if out is None or not out.exists() else _read(out)
     rows: dict[str, Mapping[str, Any]] = dict(known)
     done = failed = kept = 0
@@ -107,10 +110,10 @@ def run_batch(
             _write(out, list(rows.values()))
         told(row)
     progress(1.0)
-    if wanted is not None and wanted != out:
+    if workbook is not None:
         columns = _columns(list(rows.values()))
         lines = ([row.get(column, "") for column in columns] for row in rows.values())
-        write_workbook(wanted, "Results", columns, lines)
+        write_workbook(workbook, "Results", columns, lines)
     return BatchReport(done, failed, kept, stopped, tuple(rows[str(path)] for path in paths if str(path) in rows))
 
 

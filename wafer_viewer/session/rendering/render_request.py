@@ -195,9 +195,8 @@ class SurfaceStatistics(msgspec.Struct, frozen=True):
         """Return the share of heights that are at least so probable, and the share of these expected to be false."""
         likely = np.arange(len(self.by_probability)) / 100 + 0.005
         kept = np.where(likely >= probability, self.by_probability, 0)
-        return float(kept.sum()) / max(1, sum(self.by_probability)), float(kept @ (1 - likely)) / max(
-            1, int(kept.sum())
-        )
+        n_kept, n_false = int(kept.sum()), float(kept @ (1 - likely))
+        return n_kept / max(1, sum(self.by_probability)), n_false / max(1, n_kept)
 
     @property
     def unavailable(self) -> tuple[str, ...]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import msgspec
@@ -272,7 +271,7 @@ def _by_probability(surface: Mosaic) -> tuple[int, ...]:
     if recipe.least_probability == "auto" or not recipe.weighs_evidence:  # auto: of no heights that were weighed
         return ()
     counts = np.zeros(100, np.int64)
-    for rows, cols in itertools.product(*map(_patches, surface.shape)):
+    for rows, cols in product(*map(_patches, surface.shape)):
         x_um = [surface.x0_um + col * surface.pixel_um for col in (cols.start, cols.stop - 1)]
         y_um = [surface.y0_um - row * surface.pixel_um for row in (rows.stop - 1, rows.start)]
         part = surface.window(Region.rectangle(x_um[0], y_um[0], x_um[1], y_um[1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import importlib.util
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -14,19 +15,22 @@ _EPOCH = datetime.datetime(2000, 1, 1)
 """Date in the file: when it was written is not part of a table."""
 
 
+def require_openpyxl() -> None:
+    """Raise DatasetError where Excel files cannot be written: asked before the work whose table one shall be."""
+    if importlib.util.find_spec("openpyxl") is None:
+        raise DatasetError("Excel files are written by openpyxl: pip install 'wafer-viewer[tables]', or choose .csv.")
+
+
 def write_workbook(path: Path, title: str, heads: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
     """Write a sheet with a line of heads that stays in sight; numbers are numbers, every text is a text, no formula.
 
     Raises DatasetError when openpyxl is missing or the file cannot be written.
     """
-    try:
-        from openpyxl import Workbook
-        from openpyxl.cell import WriteOnlyCell
-        from openpyxl.styles import Font
-    except ImportError as missing:
-        raise DatasetError(
-            "Excel files are written by openpyxl: pip install 'wafer-viewer[tables]', or choose .csv."
-        ) from missing
+    require_openpyxl()
+    from openpyxl import Workbook
+    from openpyxl.cell import WriteOnlyCell
+    from openpyxl.styles import Font
+
     book = Workbook(write_only=True)
     book.properties.creator, book.properties.created, book.properties.modified = "Wafer Viewer", _EPOCH, _EPOCH
     sheet = book.create_sheet(title)

@@ -200,7 +200,7 @@ def _choices(state: InspectionState, view: View) -> Markup:
 
 def _filters(here: Here[DefectsState]) -> Elements:
     """Return the inputs of the filters."""
-    table, listing, review = classes_of(here.snapshot), here.view.defects, here.own.review
+    table, listing, review = classes_of(here.snapshot.inspection), here.view.defects, here.own.review
     names = {"All": ""} | {entry.title: entry.name for entry in table.values()}
     shown = next((title for title, name in names.items() if name == listing.kind), "All")
     hint = settings_of(DefectListing)["kind"].hint
@@ -399,8 +399,7 @@ def chart(state: InspectionState, listing: DefectListing, only: ReviewFilter) ->
 
 @lru_cache(maxsize=8)
 def _pareto(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> Markup:
-    table = state.inspection.recipe.class_table if state.inspection is not None else DEFECT_CLASSES
-    return pareto_html(on_show(state.defects, replace(listing, kind=""), only), listing.kind, table)
+    return pareto_html(on_show(state.defects, replace(listing, kind=""), only), listing.kind, classes_of(state))
 
 
 def pareto_html(defects: Iterable[Defect], chosen: str, table: ClassTable = DEFECT_CLASSES) -> Markup:

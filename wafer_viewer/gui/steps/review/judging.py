@@ -93,7 +93,7 @@ class Review:
     @property
     def classes(self) -> ClassTable:
         """Class table of the inspection."""
-        return classes_of(self.page.session.snapshot)
+        return classes_of(self.page.session.snapshot.inspection)
 
     def on_key(self, key: str, act: Callable[[str], None]) -> None:
         """Pass the class that a key assigns to `act`; the page says so where none has this key."""
@@ -272,8 +272,8 @@ def _both(first: Condition, second: Condition | None) -> Condition:
 
 
 def _with_built_in_classes(snapshot: Snapshot, view: View) -> bool:
-    return classes_of(snapshot) is DEFECT_CLASSES
+    return classes_of(snapshot.inspection) is DEFECT_CLASSES
 
 
 def _with_own_classes(snapshot: Snapshot, view: View) -> bool:
-    return classes_of(snapshot) is not DEFECT_CLASSES
+    return classes_of(snapshot.inspection) is not DEFECT_CLASSES

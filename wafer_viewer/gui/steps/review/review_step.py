@@ -48,7 +48,7 @@ def review_step(here: Here[Review]) -> Elements | None:
         return [None, Html(page.notes(snapshot) + _nothing_yet(snapshot))]
     if item.defect is not None and view.review != item.key:
         page.change(review=item.key)
-    defect, table = chosen_defect(snapshot, item.key), classes_of(snapshot)
+    defect, table = chosen_defect(snapshot, item.key), classes_of(snapshot.inspection)
     return [
         Html(html.title(f"{item.sign} · {item.title}", item.below)),
         Html(page.notes(snapshot)),

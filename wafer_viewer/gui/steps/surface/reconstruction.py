@@ -30,7 +30,6 @@ from wafer_viewer.gui.elements.form import form
 from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.spec import replace as replace_spec
 from wafer_viewer.model.spec import settings_of, value_at, with_field
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Poses, RejectionReason
 from wafer_viewer.model.surface.recipe import LEAST_PROBABILITY, READY_RECIPES, Recipe
@@ -119,8 +118,8 @@ def _form(here: Here[Any], recipe: Recipe) -> Iterator[Element]:
             least = least_probability(recipe, here.snapshot.surface)
             yield Slider(
                 "Probability from, %",
-                100 * least,
-                lambda percent: choose(replace_spec(recipe, least_probability=percent / 100)),
+                round(100 * least, 1),
+                lambda percent: choose(with_field(recipe, "least_probability", percent / 100)),
                 settings_of(Recipe)["least_probability"].hint,
                 disabled=not doubts,
                 least=0,
