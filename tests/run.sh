@@ -163,6 +163,17 @@ run_beside_browser() {
   run_tests -n "$1" --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $2"
 }
 
+# The page, its browser and its program share the machine: about one press in some thousand has been lost under load, for
+# a reason not found yet. Up to two tests that failed are run again, alone; what they heard stays in the first report.
+run_browser_tests() {
+  local kind="not real_time and not hardware" cache=.pytest_cache/v/cache/lastfailed failed=0
+  rm -f "$cache"
+  run_tests -n 2 --dist loadfile -m "$kind" tests/browser || failed=$?
+  if [ "$failed" != 1 ] || [ "$(grep -c '": true' "$cache")" -gt 2 ]; then return "$failed"; fi
+  echo "== Browser tests that failed, again and alone"
+  run_tests --last-failed -m "$kind" tests/browser
+}
+
 # The modules of the Python API, where whatever a function raises itself is to be documented too.
 check_docstrings() {
   local modules
@@ -262,7 +273,7 @@ if [ "$what" = all ]; then
   step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
   # The examples have run in the tests.
   WAFER_VIEWER_GALLERY=no start_beside "$bin/wafer-viewer" docs --build
-  step "Browser tests" run_tests -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser
+  step "Browser tests" run_browser_tests
   step "Documentation" end_beside
 fi
 if [ "$what" = campaigns ]; then step "Campaigns" all_campaigns "${@:2}"; fi

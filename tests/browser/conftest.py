@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, suppress
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Error, Page, expect, sync_playwright
 
-from tests.browser.kept_page import PATIENCE_MS, KeptPage, a_page
+from tests.browser.kept_page import ON_THE_PAGE, PATIENCE_MS, KeptPage, a_page
 from tests.browser.screens import FLAGS
 from tests.browser.sessions.fake_session import FakeSession
 from tests.support.kept_processes import kept_processes
@@ -22,6 +22,19 @@ WINDOW = {"width": 1366, "height": 768}
 LIGHT = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 """Only the scene is drawn as on a graphics card: the page too would make opening it three times as dear."""
 CHROMIUM = next((p for p in ("chromium", "chromium-browser", "google-chrome") if shutil.which(p)), None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Add what the page showed and heard to the report of a failure: under load, presses have been lost."""
+    report = yield
+    kept = getattr(item, "funcargs", {}).get("kept_page")
+    if report.failed and call.when == "call" and kept is not None:
+        with suppress(Error):
+            report.sections.append(("On the page", kept.page.evaluate(ON_THE_PAGE)))
+    return report
 
 
 @pytest.fixture(scope="session")

@@ -91,9 +91,29 @@ LEFT_OPEN = """() => {
 }"""
 
 
+REMEMBER_INPUT = """
+window.inputs = [];
+for (const kind of ['pointerdown', 'pointerup', 'click', 'keydown', 'focusin']) {
+  document.addEventListener(kind, event => {
+    const at = event.target, text = (at.textContent || at.value || '').trim().slice(0, 40);
+    window.inputs.push(`${Math.round(performance.now())} ms ${kind} ${event.key ?? ''} ${at.tagName} "${text}"`);
+    window.inputs.splice(0, window.inputs.length - 40);
+  }, true);
+}
+"""
+ON_THE_PAGE = """() => {
+  const seen = [...document.querySelectorAll('[role=dialog], .wv-note, .mantine-Notification-root, .wv-bar-over.on')];
+  const what = at => `${at.className || at.tagName}: ${at.innerText.trim().slice(0, 300)}`;
+  return [`now ${Math.round(performance.now())} ms`, ...(window.inputs ?? []), 'in focus ' +
+    document.activeElement?.outerHTML.slice(0, 200), ...seen.map(what)].join('\\n');
+}"""
+"""What was pressed and typed, and what lies over the page: for the report of a test that failed."""
+
+
 def a_page(context: BrowserContext, script: str = SMALL_PICTURE) -> Page:
     """A page with a small picture, not drawn."""
     context.add_init_script(script)
+    context.add_init_script(REMEMBER_INPUT)
     page = context.new_page()
     page.set_default_timeout(PATIENCE_MS)
     return page
