@@ -5,6 +5,7 @@ A verb that the true class lacks raises AttributeError; a call that the true ver
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -18,6 +19,7 @@ Record = Callable[[str, tuple[Any, ...], dict[str, Any]], Future[Any]]
 """Remembers a verb with its arguments and answers for it."""
 
 
+@functools.cache
 def groups_of(true: type) -> dict[str, type]:
     """The groups of verbs that a class of the session has, by name."""
     if not getattr(true, "__annotations__", None):
@@ -26,6 +28,7 @@ def groups_of(true: type) -> dict[str, type]:
     return {name: hint for name, hint in hints.items() if not name.startswith("_")}
 
 
+@functools.cache
 def verbs_of(true: type) -> dict[str, inspect.Signature]:
     """The public verbs of a class, with their signatures as a caller sees them."""
     return {name: _called(verb) for name, verb in inspect.getmembers_static(true, _is_verb) if not name.startswith("_")}
