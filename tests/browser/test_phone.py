@@ -54,9 +54,13 @@ def test_the_verdict_is_read_in_a_narrow_window_and_a_wide_one_has_all_again(ser
     page.set_viewport_size({"width": 390, "height": 844})
     expect(page.locator(".wv-verdict")).to_be_in_viewport()
     expect(page.locator(".wv-verdict .wv-sim")).to_be_visible()
+    expect(page.get_by_text("The other steps need a window at least 700 px wide.")).to_be_visible()
+    for leads_elsewhere in ("Look at the surface", "Next wafer"):
+        expect(page.get_by_role("button", name=leads_elsewhere)).to_be_hidden()
     page.set_viewport_size({"width": 1366, "height": 768})
     expect(page.locator(".wv-nav")).to_be_visible()
     title_is(page, "Coupon 6 mm")
+    expect(page.get_by_text("The other steps need")).to_be_hidden()
 
 
 def test_the_page_has_the_colours_of_the_system_until_a_person_chooses(serve_anew: Serve):

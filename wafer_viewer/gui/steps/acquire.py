@@ -15,6 +15,7 @@ from wafer_viewer.gui.dialogs.dialog import Confirm, ask
 from wafer_viewer.gui.dialogs.stop import NOT_STOPPED, stop
 from wafer_viewer.gui.elements.elements import Button, Buttons, Elements, Html, Picture, Progress, Stack
 from wafer_viewer.gui.elements.step import Here
+from wafer_viewer.gui.page.browser_info import PHONE_PX
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.panels import awaited, unfold, verdict_html
 from wafer_viewer.gui.widgets import html
@@ -29,6 +30,8 @@ NOT_PREPARED = "The next wafer was not prepared"
 FRAME_EVERY_S = 0.18
 FRAME_WIDTH_PX = 720
 _NO_EMERGENCY_STOP = Markup('<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
+
+_NEEDS_ROOM = Markup('<div class="wv-why">The other steps need a window at least {} px wide.</div>').format(PHONE_PX)
 
 
 def acquire_step(here: Here[None]) -> Elements | None:
@@ -117,7 +120,7 @@ def _onward(here: Here[None]) -> Elements:
     """Return the buttons that go on: with what is missing, to the surface, or to the next wafer."""
     page, snapshot = here.page, here.snapshot
     off, unfinished, damaged = why_not_go_on(snapshot) is not None, _unfinished(snapshot), _is_damaged(snapshot)
-    ends = not (snapshot.scanning or unfinished) and snapshot.surface is not None
+    ends = not (snapshot.scanning or unfinished or page.watches_scan) and snapshot.surface is not None
     judged = ends and _released(snapshot) and not awaited(snapshot) and not damaged
     verdict = snapshot.operating.verdict
     doubtful = judged and verdict is not None and verdict.word == "inconclusive"
@@ -132,6 +135,7 @@ def _onward(here: Here[None]) -> Elements:
         look("outlined") if judged or (ends and damaged) else None,
         following if judged else None,
         Button("Scan it again", partial(page.change, step="plan"), ICON.REPEAT, "outlined") if doubtful else None,
+        Html(_NEEDS_ROOM) if page.watches_scan and not snapshot.scanning else None,
     ]
 
 
@@ -186,7 +190,7 @@ def _title(snapshot: Snapshot) -> tuple[str, str]:
         return "Frames are damaged", damage_sentence(data.damaged)
     if scan is not None:
         return "The scan is done", _waits(snapshot) or _how(scan, data)
-    return "No scan yet", "Start one in Plan."
+    return "No scan yet", "Scans are started in Plan."
 
 
 def _how(scan: ScanProgress, data: OpenDataset | None) -> str:
