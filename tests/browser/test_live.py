@@ -44,6 +44,11 @@ def stands(session: Session) -> bool:
     return session.snapshot.rig.state == "ready" and session.snapshot.rig.z_um == z_um
 
 
+def rate_is_beside_the_focus_bar(page: Page) -> bool:
+    rate, bar = (page.locator(f".wv-live-{part}").bounding_box() for part in ("rate", "focus"))
+    return rate is not None and bar is not None and rate["x"] + rate["width"] < bar["x"]
+
+
 def test_an_operator_drives_by_keys_finds_the_focus_and_hands_the_marks_to_the_plan(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
     page.keyboard.press("c")
@@ -96,6 +101,9 @@ def test_an_operator_drives_by_keys_finds_the_focus_and_hands_the_marks_to_the_p
     pad.focus()
     page.keyboard.press("5")
     expect(page.get_by_text("Focus found here at z")).to_be_visible()
+    page.set_viewport_size({"width": 944, "height": 768})
+    until(lambda: rate_is_beside_the_focus_bar(page), "the rate is read in a narrower window too")
+    page.set_viewport_size({"width": 1366, "height": 768})
     await_rest(session)
     for name in ("Corner 1 is here", "Lowest is here"):
         page.get_by_role("button", name=name).click()

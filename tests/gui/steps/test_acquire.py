@@ -29,9 +29,9 @@ class Session:
         return lambda: self.done.append(name)
 
 
-def shown(snapshot: Snapshot, **view: Any) -> tuple[list[Any], Any]:
-    session = Session(snapshot)
-    page = SimpleNamespace(session=session, notes=lambda _: "", ask=lambda *_: None, change=lambda **_: None)
+def shown(snapshot: Snapshot, *, narrow: bool = False, **view: Any) -> tuple[list[Any], Any]:
+    session, none = Session(snapshot), lambda *_, **__: None
+    page = SimpleNamespace(session=session, notes=lambda _: "", ask=none, change=none, watches_scan=narrow)
     here: Any = SimpleNamespace(snapshot=snapshot, view=View(step="acquire", **view), page=page)
     return flat(acquire_step(here)), page
 
@@ -98,6 +98,11 @@ def test_a_scan_that_is_done_leads_to_its_surface():
 def test_a_released_job_leads_to_the_next_wafer(verdict: Any, others: list[str]):
     judged = operator.judged(verdict)
     assert list(buttons(judged)) == ["Look at the surface", "Next wafer", *others]
+
+
+def test_a_narrow_window_offers_no_step_that_it_does_not_show():
+    elements, _ = shown(operator.judged(operator.OPEN), narrow=True)
+    assert not [one for one in elements if isinstance(one, Button)]
 
 
 def test_a_released_job_shows_counters_and_picture_only_if_all_is_unfolded():
