@@ -13,7 +13,7 @@ from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
 from wafer_viewer.store.records.golden_dies import open_golden
-from wafer_viewer.store.records.inspection_records import defect_recipes
+from wafer_viewer.store.records.inspection_records import readable_recipes
 from wafer_viewer.store.tables.klarf import read_klarf
 
 pytestmark = [
@@ -57,8 +57,8 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     type_into(page, "Name", "night shift")
     dialog.get_by_role("button", name="Save", exact=True).click()
     expect(page.get_by_text("Recipe “night shift” of LX-7, as saved.")).to_be_visible()
-    (kept,) = defect_recipes(folder, "LX-7")
-    assert (kept.name, kept.sensitivity) == ("night shift", 0.25)
+    ((kept,), _) = readable_recipes(folder)
+    assert (kept.product, kept.name, kept.sensitivity) == ("LX-7", "night shift", 0.25)
 
     page.locator("[data-pick=defect-errand][data-k=golden]").press("Enter")
     expect(dialog).to_contain_text("earlier versions are kept")

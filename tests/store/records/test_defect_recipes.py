@@ -14,7 +14,6 @@ from wafer_viewer.model.inspection.defect_classes import ClassRules
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.records.inspection_records import (
-    defect_recipes,
     delete_defect_recipe,
     read_defect_recipe,
     readable_recipes,
@@ -30,9 +29,9 @@ def test_a_recipe_is_read_as_it_was_kept(tmp_path: Path):
     path = save_defect_recipe(tmp_path, recipe)
     assert path == tmp_path / "recipes" / "LX-7-b-keen.defects.toml"
     assert read_defect_recipe(path) == recipe
-    save_defect_recipe(tmp_path, DefectRecipe(product="LX-8"))
-    assert defect_recipes(tmp_path, "LX 7/b") == (recipe,)
-    assert len(defect_recipes(tmp_path)) == 2
+    save_defect_recipe(tmp_path, other := DefectRecipe(product="LX-8"))
+    kept, problems = readable_recipes(tmp_path)
+    assert (set(kept), len(kept), problems) == ({recipe, other}, 2, ())
 
 
 @pytest.mark.parametrize(
@@ -78,11 +77,12 @@ def test_a_recipe_gets_another_name_or_goes(tmp_path: Path):
         rename_defect_recipe(tmp_path, keen, "standard")
     rename_defect_recipe(tmp_path, keen, "night shift")
     night = replace(keen, name="night shift")
-    assert set(defect_recipes(tmp_path)) == {night, DefectRecipe(product="LX-7")}
+    kept, problems = readable_recipes(tmp_path)
+    assert (set(kept), problems) == ({night, DefectRecipe(product="LX-7")}, ())
     with pytest.raises(DatasetError, match="no recipe 'keen' of LX-7 any more"):
         rename_defect_recipe(tmp_path, keen, "dull")
     delete_defect_recipe(tmp_path, night)
-    assert defect_recipes(tmp_path) == (DefectRecipe(product="LX-7"),)
+    assert readable_recipes(tmp_path) == ((DefectRecipe(product="LX-7"),), ())
     with pytest.raises(DatasetError, match="any more: choose one of the list"):
         delete_defect_recipe(tmp_path, night)
 

@@ -66,7 +66,7 @@ BRAND = {False: (4, 44, 61), True: (29, 127, 174)}
 RGB_OF_TONE = {"attention": (217, 130, 0), "fault": (180, 35, 24), "busy": (11, 110, 153), "good": (24, 121, 78)}
 
 SHEETS = "page.css", "gauge.css", "side_by_side.css", "file_dialog.css", "tour.css", "live.css"
-HEADER_PX, LEFT_PX, RIGHT_PX = 56, 300, 404
+LEFT_PX, RIGHT_PX = 300, 404
 PROFILE_PX = 268
 """Height of the bottom panel with a curve in it."""
 

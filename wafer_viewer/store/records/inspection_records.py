@@ -131,12 +131,6 @@ def delete_defect_recipe(folder: Path, recipe: DefectRecipe) -> None:
         path.unlink()
 
 
-def defect_recipes(folder: Path, product: str = "") -> tuple[DefectRecipe, ...]:
-    """Return the saved recipes, optionally of one product, by product and name; damaged ones raise."""
-    read = (read_defect_recipe(path) for path in _files(folder))
-    return tuple(recipe for recipe in read if not product or recipe.product == product)
-
-
 def readable_recipes(folder: Path) -> tuple[tuple[DefectRecipe, ...], tuple[str, ...]]:
     """Return the readable recipes, most recently saved first, and one sentence per unreadable file."""
     recipes: list[DefectRecipe] = []
