@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ from tests.bench.unseen_scenes import show_path_traced, show_scenes
 from tests.truth.layouts import HELD_OUT, PILLBOX, TUNING, Layout, Taken
 from tests.truth.unseen import FIRST_REPORTED_SEED
 from tests.truth.views import Camera
-from wafer_viewer.measure.truth_comparison import Quality, error_by_distance, quality
+from wafer_viewer.measure.truth_comparison import Quality, quality
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.focus_measures import focus_measures
@@ -40,6 +41,8 @@ from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS
 
 FALSE_UM = 4.0
+DISTANCES_PX = (0.0, 2.0, 5.0, 10.0, 20.0, np.inf)
+"""Bounds of the bands of distance from an edge."""
 STAIR = Layout("stair", PILLBOX, 21, scene="stair")
 PLANE = Layout("plane", PILLBOX, 22, Camera(full_well_e=None), scene="plane")
 PLANE_SWEEP_UM = 140.0 + np.arange(124.0)
@@ -150,9 +153,11 @@ def edges(quick: bool) -> None:
         rows = []
         for name in ("default", BASELINE):
             raw_um, scene = METHODS[name](taken.stack).raw_um, taken.scene
-            for band in error_by_distance(raw_um, scene.truth_um, scene.edge_distance_px, FALSE_UM):
+            for low, high in pairwise(DISTANCES_PX):
+                inside = (scene.edge_distance_px >= low) & (scene.edge_distance_px < high)
+                band = quality(raw_um, np.where(inside, scene.truth_um, np.nan), FALSE_UM)
                 shares = percent(band.completeness_fraction), percent(band.false_fraction, 2)
-                where = f"{band.from_px:g} to {band.to_px:g} px"
+                where = f"{low:g} to {high:g} px"
                 rows.append((f"{name}, {where}", *shares, band.rmse_um, band.bias_um))
         header = ("method, distance from a wall", "kept %", "false %", "RMSE um", "bias um")
         show(f"Error against distance from a wall, {layout.name}: {layout.about}", header, rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from skimage.metrics import mean_squared_error, peak_signal_noise_ratio
 
 import wafer_viewer as wv
 from tests.support.surfaces import height_map
-from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth, error_by_distance, quality, smoothness
+from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth, quality, smoothness
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
@@ -125,12 +126,12 @@ def test_errors_grow_towards_an_edge(truth_um):
     distance = np.abs(np.indices((ROWS, COLS))[1] - 29.5)
     found = truth_um + 20.0 / (distance + 1)
     found[distance < 2] = np.nan
-    bands = error_by_distance(found, truth_um, distance, 4.0)
-    assert [(b.from_px, b.to_px) for b in bands] == [(0, 2), (2, 5), (5, 10), (10, 20), (20, np.inf)]
+    masks = [(distance >= low) & (distance < high) for low, high in pairwise((0, 2, 5, 10, 20, np.inf))]
+    bands = [quality(found, np.where(mask, truth_um, np.nan), 4.0) for mask in masks]
     assert sum(b.n_px for b in bands) == truth_um.size
     assert bands[0].completeness_fraction == 0
     assert [b.rmse_um for b in bands[1:]] == sorted((b.rmse_um for b in bands[1:]), reverse=True)
-    inside = (distance >= 2) & (distance < 5)
+    inside = masks[1]
     assert bands[1].rmse_um == pytest.approx(np.sqrt(np.mean((found - truth_um)[inside] ** 2)))
     assert bands[1].false_fraction == pytest.approx(np.mean((20.0 / (distance + 1) > 4)[inside]))
 
@@ -159,8 +160,6 @@ def test_another_shape_and_no_tolerance_are_refused_in_one_sentence(truth_um):
         quality(truth_um[:, 1:], truth_um, 4.0)
     with pytest.raises(MeasureError, match="tolerance is 0"):
         quality(truth_um, truth_um, 0)
-    with pytest.raises(MeasureError, match="cannot be compared"):
-        error_by_distance(truth_um, truth_um, truth_um[1:], 4.0)
 
 
 def test_figures_cannot_be_changed(truth_um):

@@ -7,9 +7,7 @@ reported too. A height is *false* when it is off by more than a tolerance, by de
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +15,6 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.height_samples import Floats
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.height_map import HeightMap
-
-DISTANCES_PX = (0.0, 2.0, 5.0, 10.0, 20.0, np.inf)
-"""Bounds of the bands of distance from an edge."""
 
 Heights = NDArray[np.float32] | NDArray[np.float64]
 
@@ -44,19 +39,6 @@ class Quality:
     false_fraction: float
     true_rmse_um: float
     tolerance_um: float
-    n_px: int
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorBand:
-    """Errors of the pixels between two distances from an edge; see `Quality`."""
-
-    from_px: float
-    to_px: float
-    completeness_fraction: float
-    false_fraction: float
-    rmse_um: float
-    bias_um: float
     n_px: int
 
 
@@ -138,25 +120,6 @@ def quality(z_um: Heights, truth_um: Heights, tolerance_um: float, peak_um: floa
     )
 
 
-def error_by_distance(
-    z_um: Heights,
-    truth_um: Heights,
-    distance_px: Heights,
-    tolerance_um: float,
-    bounds_px: Sequence[float] = DISTANCES_PX,
-) -> tuple[ErrorBand, ...]:
-    """Return the errors in bands of distance from the nearest edge, arrays [row, col]; lower bounds inclusive.
-
-    Raises MeasureError when the shapes differ or the tolerance is not above 0.
-    """
-    _check(z_um, truth_um, tolerance_um)
-    _check(distance_px, truth_um, tolerance_um)
-    return tuple(
-        _band(z_um, truth_um, (distance_px >= low) & (distance_px < high), (low, high), tolerance_um)
-        for low, high in pairwise(bounds_px)
-    )
-
-
 def rmse(error_um: Heights) -> float:
     """Return the root mean square of errors in um, eq. 17; NaN without any."""
     from skimage.metrics import mean_squared_error
@@ -203,23 +166,6 @@ def squared_bending(z_um: Heights) -> Floats:
     xy = z[2:, 2:] - z[1:-1, 2:] - z[2:, 1:-1] + middle
     bending = xx**2 + 2 * xy**2 + 2 * yy**2
     return bending[np.isfinite(bending)]
-
-
-def _band(
-    z_um: Heights, truth_um: Heights, band: NDArray[np.bool_], bounds_px: tuple[float, float], tolerance_um: float
-) -> ErrorBand:
-    finite = band & np.isfinite(truth_um)
-    error: Floats = (z_um[finite] - truth_um[finite]).astype(np.float64)
-    error = error[np.isfinite(error)]
-    return ErrorBand(
-        from_px=bounds_px[0],
-        to_px=bounds_px[1],
-        completeness_fraction=_share(error.size, finite.sum()),
-        false_fraction=_share((np.abs(error) > tolerance_um).sum(), error.size),
-        rmse_um=rmse(error),
-        bias_um=_median(error),
-        n_px=int(finite.sum()),
-    )
 
 
 def _check(z_um: Heights, truth_um: Heights, tolerance_um: float) -> None:
