@@ -16,16 +16,14 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.point_gridding import (
     AT_A_TIME,
     Block,
-    PointCloud,
     count,
     points_of,
     records,
     require_points,
-    surface_of_points,
+    surface_of_comments,
     text_records,
-    units_of,
 )
-from wafer_viewer.store.formats.reader_support import OURS, ReadOptions, heading, parse_metadata, provenance_of
+from wafer_viewer.store.formats.reader_support import OURS, ReadOptions, heading
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _POINT = np.dtype([("xyz", "<f4", 3)])
@@ -64,12 +62,7 @@ def write_pcd(strips: Strips, path: Path) -> None:
 def read_pcd(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PCD file."""
     head = _head(path, options)
-    embedded = head.comments.pop(OURS, None)
-    about = parse_metadata(embedded)
-    came_from = provenance_of(about, embedded, *head.comments, *head.comments.values())
-    units = units_of(head.comments.get("unit"), about, options)
-    points = PointCloud(lambda: _blocks(path, head, options), units, about, came_from, head.n_points)
-    return surface_of_points(points, options)
+    return surface_of_comments(lambda: _blocks(path, head, options), head.n_points, head.comments, options)
 
 
 @dataclass(frozen=True, slots=True)

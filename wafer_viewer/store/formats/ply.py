@@ -16,17 +16,15 @@ from wafer_viewer.store.formats.mesh_files import is_installed, read_mesh
 from wafer_viewer.store.formats.point_gridding import (
     AT_A_TIME,
     Block,
-    PointCloud,
     count,
     eight_bits,
     points_of,
     records,
     require_points,
-    surface_of_points,
+    surface_of_comments,
     text_records,
-    units_of,
 )
-from wafer_viewer.store.formats.reader_support import OURS, ReadOptions, heading, parse_metadata, provenance_of
+from wafer_viewer.store.formats.reader_support import OURS, ReadOptions, heading, parse_metadata
 from wafer_viewer.store.formats.surface_strips import Strips
 
 _POINT = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3), ("origin", "u1"), ("confidence", "<f4")])
@@ -77,14 +75,9 @@ def write_ply(strips: Strips, path: Path) -> None:
 def read_ply(path: Path, options: ReadOptions) -> HeightMap:
     """Read the surface sampled by the points of a PLY file, or by a mesh."""
     head = _head(path, options)
-    embedded = head.comments.pop(OURS, None)
-    about = parse_metadata(embedded)
-    came_from = provenance_of(about, embedded, *head.comments, *head.comments.values())
-    if head.has_faces and about is None and is_installed():
+    if head.has_faces and parse_metadata(head.comments.get(OURS)) is None and is_installed():
         return read_mesh(path, options, head.comments.get("unit"))
-    units = units_of(head.comments.get("unit"), about, options)
-    points = PointCloud(lambda: _blocks(path, head, options), units, about, came_from, head.n_points)
-    return surface_of_points(points, options)
+    return surface_of_comments(lambda: _blocks(path, head, options), head.n_points, head.comments, options)
 
 
 @dataclass(frozen=True, slots=True)

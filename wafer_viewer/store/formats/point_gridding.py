@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.store.formats.reader_support import UNITS_UM, EmbeddedMetadata, ReadOptions, heights_only
+from wafer_viewer.store.formats.reader_support import (
+    OURS,
+    UNITS_UM,
+    EmbeddedMetadata,
+    ReadOptions,
+    heights_only,
+    parse_metadata,
+    provenance_of,
+)
 from wafer_viewer.store.formats.surface_strips import Strips
 from wafer_viewer.store.io.guarded_reading import limit
 
@@ -59,6 +67,15 @@ class PointCloud:
     provenance: Provenance | None = None
     most_points: int = MOST_PIXELS
     """Points that the file can hold at most, by its size."""
+
+
+def surface_of_comments(blocks: Blocks, n_points: int, comments: dict[str, str], options: ReadOptions) -> HeightMap:
+    """Return the gridded surface of a file whose comments by name tell its unit and what this program embedded."""
+    about = parse_metadata(embedded := comments.get(OURS))
+    texts = {name: text for name, text in comments.items() if name != OURS}
+    came_from = provenance_of(about, embedded, *texts, *texts.values())
+    units = units_of(comments.get("unit"), about, options)
+    return surface_of_points(PointCloud(blocks, units, about, came_from, n_points), options)
 
 
 def surface_of_points(points: PointCloud, options: ReadOptions) -> HeightMap:
