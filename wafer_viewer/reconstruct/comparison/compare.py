@@ -33,7 +33,7 @@ from wafer_viewer.model.surface.height_map import (
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA
 from wafer_viewer.reconstruct.blending.stitched_mosaic import coarser_levels
 from wafer_viewer.reconstruct.comparison.registration import in_plane, levelled, settled
-from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic, SampleGrid
+from wafer_viewer.reconstruct.comparison.resampled_surface import OnResampled, ResampledMosaic, SampleGrid
 
 # ---------------------------------------------------------------------------------------------------- height difference
 
@@ -70,7 +70,7 @@ class DifferenceStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Difference(AsArray):
+class Difference(OnResampled, AsArray):
     """A `Mosaic` of one level on the first's lattice: `resampled` over `resampled.first`, minus it.
 
     Unmeasured where either surface is, with the first's origin code if it has one. median_um, limit_um: see `Change`.
@@ -85,21 +85,6 @@ class Difference(AsArray):
     def registration(self) -> Registration:
         """Registration of the second surface to the first."""
         return self.resampled.registration
-
-    @property
-    def pixel_um(self) -> float:
-        """Pixel size."""
-        return self.resampled.pixel_um
-
-    @property
-    def x0_um(self) -> float:
-        """Stage x of pixel (0, 0)."""
-        return self.resampled.x0_um
-
-    @property
-    def y0_um(self) -> float:
-        """Stage y of pixel (0, 0)."""
-        return self.resampled.y0_um
 
     @property
     def shape(self) -> tuple[int, int]:

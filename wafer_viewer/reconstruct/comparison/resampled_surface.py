@@ -189,9 +189,8 @@ GAP = 0.06
 """Gap between the surfaces, as a fraction of the width of one."""
 
 
-@dataclass(frozen=True, eq=False)
-class SideBySideMosaic:
-    """A `Mosaic` of the first surface and the one aligned to it, which is `offset` columns further right."""
+class OnResampled:
+    """Place of a `Mosaic` on the lattice of a resampled one."""
 
     resampled: ResampledMosaic
 
@@ -209,6 +208,13 @@ class SideBySideMosaic:
     def y0_um(self) -> float:
         """Stage y of pixel (0, 0) of level 0."""
         return self.resampled.y0_um
+
+
+@dataclass(frozen=True, eq=False)
+class SideBySideMosaic(OnResampled):
+    """A `Mosaic` of the first surface and the one aligned to it, which is `offset` columns further right."""
+
+    resampled: ResampledMosaic
 
     @property
     def offset(self) -> int:
