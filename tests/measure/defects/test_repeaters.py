@@ -77,3 +77,33 @@ def test_thousands_by_chance_make_few_places_and_planted_ones_are_found_among_th
     assert set(range(1, 7)) <= set(found[0].numbers)
     assert len(found[0].dies) == 6
     assert sum(len(place.dies) >= 4 for place in found) == 1
+
+
+def scattered(rng: np.random.Generator, n: int) -> list[Defect]:
+    """Defects at uniform places, as many on each die."""
+    places = rng.uniform((0, 0), (GRID.width_um, GRID.height_um), (n, 2))
+    return [defect(100 + k, DIES[k % 6], float(x), float(y)) for k, (x, y) in enumerate(places)]
+
+
+def test_probability_of_chance_is_that_of_a_binomial_for_each_defect():
+    (place,) = repeated_places(inspection(*at([(300, 200)] * 3)), within_um=10.0)
+    p = np.pi * 100 / (GRID.width_um * GRID.height_um)
+    assert place.by_chance == pytest.approx(3 * p**2, rel=1e-9)
+    assert place.chance_words == "by chance <0.1 %"
+
+
+def test_probability_of_chance_bounds_the_rate_on_random_maps():
+    maps = [repeated_places(inspection(*scattered(np.random.default_rng(seed), 90)), 14.0) for seed in range(300)]
+    threes = {place.by_chance for places in maps for place in places if len(place.dies) == 3}
+    (stated,) = {round(chance, 9) for chance in threes}
+    rate = np.mean([len(places) > 0 for places in maps])
+    assert stated / 4 < rate <= stated
+
+
+def test_planted_place_is_beyond_chance_and_random_ones_are_not():
+    noise = scattered(np.random.default_rng(5), 600)
+    first, *others = repeated_places(inspection(*noise, *at([(400, 400)] * 6)), within_um=8.0)
+    assert first.by_chance < 0.01
+    threes = [place.by_chance for place in others if len(place.dies) == 3]
+    assert threes
+    assert min(threes) > 0.5

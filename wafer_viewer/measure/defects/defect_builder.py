@@ -61,8 +61,8 @@ def repeated_places(
     -------
     tuple of RepeatedPlace
         The places, those on most dies first. Each has the median position in um from the lower left corner of the die,
-        the largest distance from it, the names of the dies, the number of whole dies, the numbers of the defects and
-        their most frequent class. Each defect belongs to one place.
+        the largest distance from it, the names of the dies, the number of whole dies, the numbers of the defects,
+        their most frequent class and the probability of chance. Each defect belongs to one place.
 
     Raises
     ------
@@ -72,6 +72,15 @@ def repeated_places(
     Notes
     -----
     The distance must hold for both defects of a pair, so that a long scratch does not absorb small defects.
+
+    For chance, every die keeps its defects and each is placed uniformly on the die. A defect then has neighbours on at
+    least k - 1 of the other dies with the tail probability of a binomial distribution of the same mean, which is an
+    upper bound above that mean [1]_. The sum over all defects corrects for the number of places (Bonferroni).
+
+    References
+    ----------
+    .. [1] W. Hoeffding, "On the distribution of the number of successes in independent trials", Ann. Math. Statist. 27
+       (1956), 713-721.
     """
     if within_um is not None and not within_um > 0:
         raise MeasureError(f"within_um is {within_um:g}: it must be over 0.")
@@ -79,7 +88,9 @@ def repeated_places(
         raise MeasureError(f"least_dies is {least_dies}: a place repeats in two dies at least.")
     on_dies = [d for d in inspection.found if d.die and d.in_die is not None and d.judgement != "nuisance"]
     n_whole = sum(die.state == "whole" for die in inspection.dies)
-    found = (_repeated_place(group, n_whole) for group in _groups(on_dies, within_um, least_dies))
+    groups = tuple(_groups(on_dies, within_um, least_dies))
+    expected = _mean_neighbours(on_dies, within_um, inspection.grid) if groups and inspection.grid else None
+    found = (_repeated_place(group, n_whole, expected) for group in groups)
     return tuple(sorted(found, key=lambda place: (-len(place.dies), place.numbers)))
 
 
@@ -117,17 +128,47 @@ def _n_dies(defects: Sequence[Defect], group: Sequence[int]) -> int:
     return len({defects[k].die for k in group})
 
 
-def _repeated_place(group: Sequence[Defect], n_whole: int) -> RepeatedPlace:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Expected:
+    """Mean number of other dies with a neighbour by chance, of each defect; n_others: dies with defects, less one."""
+
+    means: Floats
+    n_others: int
+
+    def probability(self, n_dies: int) -> float:
+        """Return an upper bound of the probability that any place has defects of this many dies."""
+        from scipy.special import bdtrc
+
+        tails = bdtrc(n_dies - 2, self.n_others, self.means / self.n_others)
+        beyond = n_dies - 1 > self.means + 1
+        return float(min(1.0, np.where(beyond, tails, 1.0).sum()))
+
+
+def _mean_neighbours(defects: Sequence[Defect], within_um: float | None, grid: DieGrid) -> _Expected:
+    reach = np.array([_reach_um(defect, within_um) for defect in defects])
+    names, die = np.unique([defect.die for defect in defects], return_inverse=True)
+    means = np.empty(len(defects))
+    for k in range(len(defects)):
+        share = np.pi * np.minimum(reach, reach[k]) ** 2 / (grid.width_um * grid.height_um)
+        missed = np.bincount(die, np.log1p(-np.minimum(share, 1 - 1e-12)), len(names))
+        missed[die[k]] = 0.0
+        means[k] = -np.expm1(missed).sum()
+    return _Expected(means, len(names) - 1)
+
+
+def _repeated_place(group: Sequence[Defect], n_whole: int, expected: _Expected | None) -> RepeatedPlace:
     in_order = sorted(group, key=lambda defect: (_col_row(defect.die), defect.number))
     places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in in_order if d.in_die is not None])
     middle: Floats = np.median(places, axis=0)
+    dies = tuple(dict.fromkeys(defect.die for defect in in_order))
     return RepeatedPlace(
         in_die=Point(x_um=float(middle[0]), y_um=float(middle[1])),
         reach_um=float(np.hypot(*(places - middle).T).max()),
-        dies=tuple(dict.fromkeys(defect.die for defect in in_order)),
+        dies=dies,
         of_dies=n_whole,
         numbers=tuple(defect.number for defect in in_order),
         kind=_usual(in_order),
+        by_chance=expected.probability(len(dies)) if expected is not None else None,
     )
 
 

@@ -237,7 +237,8 @@ class RepeatedPlace(Spec, frozen=True, kw_only=True):
 
     in_die: their median position, um from the die's lower left corner; reach_um: largest distance from it; dies: names
     of the dies; of_dies: number of dies scanned completely; numbers: of the defects, die by die; kind: most frequent
-    class.
+    class; by_chance: upper bound of the probability that the same defects, placed at random on their dies, share any
+    place in as many dies.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -247,11 +248,22 @@ class RepeatedPlace(Spec, frozen=True, kw_only=True):
     of_dies: Annotated[int, Within(0)] = 0
     numbers: tuple[int, ...]
     kind: str
+    by_chance: Fraction | None = None
 
     @property
     def words(self) -> str:
         """Text with the number of dies."""
         return f"in {len(self.dies)} of {self.of_dies} whole dies" if self.of_dies else f"in {len(self.dies)} dies"
+
+    @property
+    def chance_words(self) -> str:
+        """Text with the probability of chance; empty if it is not evaluated."""
+        if self.by_chance is None:
+            return ""
+        percent = 100 * self.by_chance
+        return (
+            f"by chance {percent:.2g} %" if 0.1 <= percent < 99.5 else f"by chance {'<0.1' if percent < 1 else 100} %"
+        )
 
 
 # ------------------------------------------------------------------------------------------------------- defect verdict

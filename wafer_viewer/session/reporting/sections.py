@@ -280,11 +280,15 @@ def repeated(inspection: Inspection) -> Iterator[str]:
 
     places = repeated_places(inspection)
     if places:
-        yield "Defects that repeat at the same place of several dies are systematic, of the mask or the process."
+        yield (
+            "Defects that repeat at the same place of several dies are systematic, of the mask or the process, "
+            "unless chance explains them."
+        )
     for k, place in enumerate(places[:MOST_PLACES], 1):
         x, y = number(place.in_die.x_um, 1), number(place.in_die.y_um, 1)
         kind = DEFECT_CLASSES[place.kind].title.lower()
-        yield f"Place {k}, x {x}, y {y} µm of the die: {kind} {place.words}."
+        chance = f", {place.chance_words}" if place.chance_words else ""
+        yield f"Place {k}, x {x}, y {y} µm of the die: {kind} {place.words}{chance}."
     if len(places) > MOST_PLACES:
         yield f"{len(places) - MOST_PLACES} more places repeat."
 

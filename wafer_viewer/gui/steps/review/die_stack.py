@@ -105,11 +105,12 @@ def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int |
 
 def _row(k: int, place: RepeatedPlace, chosen: bool) -> Markup:
     look, position = DEFECT_CLASSES[place.kind], place.in_die
-    name = Markup("{symbol_svg} {title}<small>x {number}, y {number2}\u202fµm</small>").format(
+    name = Markup("{symbol_svg} {title}<small>x {number}, y {number2}\u202fµm{chance}</small>").format(
         symbol_svg=symbol_svg(look.shape, look.colour),
         title=look.title,
         number=number(position.x_um, 1),
         number2=number(position.y_um, 1),
+        chance=f" · {place.chance_words}" if place.chance_words else "",
     )
     dies = Markup("<b>{}</b><small>of {} dies</small>").format(len(place.dies), place.of_dies)
     title = f"Place {k + 1}, {look.title}, {place.words}"
