@@ -271,7 +271,7 @@ def _refuse_product(series: list[_Name], differing: list[int]) -> None:
             n_one, n_other = (len({pair[side] for pair in pairs}) for side in (0, 1))
             if min(n_one, n_other) > 1 and len(pairs) == n_one * n_other == len(series):
                 first = series[0]
-                pattern = _pattern(first, one, other, n_one >= n_other)
+                pattern = _pattern(first, one, other)
                 raise DatasetError(
                     f"The names count two things: {n_one} values of the number {one + 1} of {first.path.name}, with "
                     f"{n_other} of the number {other + 1} each. Say which are fields and which frames, as in "
@@ -279,7 +279,7 @@ def _refuse_product(series: list[_Name], differing: list[int]) -> None:
                 )
 
 
-def _pattern(name: _Name, one: int, other: int, second_is_k: bool) -> str:
+def _pattern(name: _Name, one: int, other: int) -> str:
     parts = {one: "{n}", other: "{k}"}
     pieces = [name.texts[0]]
     for n, token in enumerate(name.tokens):
