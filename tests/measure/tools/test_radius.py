@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,17 @@ AROUND = Region.circle(0, 0, 27)
 FOOT_UM = 20.0
 
 
-def bump(radius_um=50.0, sign=1, seed=0, noise_um=0.0, correlation_px=8.0, tilt=0.01, u_pixel_um=0.0, foot_um=FOOT_UM):
+def bump(
+    radius_um=50.0,
+    sign=1,
+    seed=0,
+    noise_um=0.0,
+    correlation_px=8.0,
+    tilt=0.01,
+    u_pixel_um=0.0,
+    foot_um=FOOT_UM,
+    scale=1.0,
+):
     """A cap with a foot of 20 um about (3, -2) um on a tilted plane; 1 in 1000 points is wrong."""
     x_um, y_um = np.meshgrid(*coordinates(140, 150))
     away2 = (x_um - 3) ** 2 + (y_um + 2) ** 2
@@ -24,7 +36,7 @@ def bump(radius_um=50.0, sign=1, seed=0, noise_um=0.0, correlation_px=8.0, tilt=
     z = sign * np.where(away2 < foot_um**2, cap, 0) + tilt * x_um + noise_of(seed, x_um.shape, noise_um, correlation_px)
     z[np.random.default_rng(seed).random(z.shape) < 1e-3] += 30.0
     held = replace(calibration(u_z_scale=1e-6), u_pixel_um=u_pixel_um)
-    return surface_of(z, calibration=held, recipe=Recipe(window=9), z_step_um=4.0)
+    return surface_of(z * scale, calibration=held, recipe=Recipe(window=9), z_step_um=4.0)
 
 
 def height_um(radius_um, foot_um=FOOT_UM):
@@ -62,10 +74,20 @@ def test_the_uncertainties_cover_the_errors(radius_um, noise_um, correlation_px)
         assert np.mean(np.abs(errors) <= expanded) >= 0.9
 
 
-def test_the_budget_of_a_radius_doubles_the_pixel():
-    budget = {line.name: line.u_um for line in bump_radius(bump(u_pixel_um=0.0005), AROUND).radius.budget}
-    assert budget["pixel scale"] == pytest.approx(2 * 1e-3 * 50, rel=0.01)
-    assert budget["z scale"] == pytest.approx(1e-6 * 50, rel=0.01)
+@pytest.mark.parametrize("radius_um", [25.0, 50.0, 500.0])
+def test_scales_enter_the_budget_of_a_radius_as_they_move_it(radius_um):
+    surface, share = bump(radius_um, u_pixel_um=0.0005), 1e-3
+    found = bump_radius(surface, AROUND).radius
+    budget = {line.name: line.u_um for line in found.budget}
+    wider = {name: getattr(surface, name) * (1 + share) for name in ("pixel_um", "x0_um", "y0_um")}
+    by_pixel = bump_radius(dataclasses.replace(surface, **wider), AROUND).radius.value_um - found.value_um
+    by_z = bump_radius(bump(radius_um, scale=1 + share), AROUND).radius.value_um - found.value_um
+    assert budget["pixel scale"] == pytest.approx(abs(by_pixel), rel=0.01)
+    assert budget["z scale"] == pytest.approx(abs(by_z) * 1e-6 / share, rel=0.02)
+
+
+def test_frames_enter_the_budget_of_a_radius_over_the_height_of_its_cap():
+    budget = {line.name: line.u_um for line in bump_radius(bump(), AROUND).radius.budget}
     assert budget["interpolation between frames"] == pytest.approx(0.02 * 50 / (0.7 * height_um(50.0)), rel=0.01)
 
 

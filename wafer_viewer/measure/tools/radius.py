@@ -214,12 +214,16 @@ def _radius_lines(
 ) -> Lines:
     """Return the budget lines of the radius.
 
-    A cap of radius a and height h has R = a^2 / 2 h: relative errors of h enter once, those of a twice.
+    Heights too large by a share f multiply the fitted curvature by 1 + c f. A larger z and pixel alike only enlarge
+    the sphere, so that a pixel too large by f multiplies R by 1 + (1 + c) f. c is 1 for a shallow cap, less for a
+    steep one.
     """
+    heights_um = cap.at(HeightSamples(curvature.x_um, curvature.y_um, np.zeros(len(curvature.x_um))))
+    stretch = float(curvature.weight @ heights_um) / cap.curvature
     cap_um = (1 - RADIUS.cap_from) * abs(_top_um(cap, around.plane))
     return {
-        "z scale": reading.u_z_scale * cap.radius_um,
-        PIXEL_SCALE: 2 * reading.u_pixel_scale * cap.radius_um,
+        "z scale": reading.u_z_scale * abs(stretch) * cap.radius_um,
+        PIXEL_SCALE: reading.u_pixel_scale * abs(1 + stretch) * cap.radius_um,
         "noise and form of the cap": _noise(reading, curvature, errors).times(cap.radius_um**2),
         WINDOW: SHRINKS * reading.sag_um(cap.curvature),
         **reading.frame_lines(cap.radius_um / cap_um),
