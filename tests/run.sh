@@ -163,8 +163,8 @@ run_beside_browser() {
   run_tests -n "$1" --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $2"
 }
 
-# The page, its browser and its program share the machine: about one press in some thousand has been lost under load, for
-# a reason not found yet. Up to two tests that failed are run again, alone; what they heard stays in the first report.
+# The page, its browser and its program share the machine: under load a press has been lost now and then, for a reason not
+# found yet. Up to two tests that failed are run again, alone; what they heard stays in the first report.
 run_browser_tests() {
   local kind="not real_time and not hardware" cache=.pytest_cache/v/cache/lastfailed failed=0
   rm -f "$cache"

@@ -30,7 +30,6 @@ NOT_PREPARED = "The next wafer was not prepared"
 FRAME_EVERY_S = 0.18
 FRAME_WIDTH_PX = 720
 _NO_EMERGENCY_STOP = Markup('<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
-
 _NEEDS_ROOM = Markup('<div class="wv-why">The other steps need a window at least {} px wide.</div>').format(PHONE_PX)
 
 

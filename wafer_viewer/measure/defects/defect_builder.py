@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,8 +89,9 @@ def repeated_places(
     on_dies = [d for d in inspection.found if d.die and d.in_die is not None and d.judgement != "nuisance"]
     n_whole = sum(die.state == "whole" for die in inspection.dies)
     groups = tuple(_groups(on_dies, within_um, least_dies))
-    expected = _mean_neighbours(on_dies, within_um, inspection.grid) if groups and inspection.grid else None
-    found = (_repeated_place(group, n_whole, expected) for group in groups)
+    n_dies = {len({defect.die for defect in group}) for group in groups}
+    chances = _by_chance(on_dies, within_um, inspection.grid, n_dies) if n_dies and inspection.grid else {}
+    found = (_repeated_place(group, n_whole, chances) for group in groups)
     return tuple(sorted(found, key=lambda place: (-len(place.dies), place.numbers)))
 
 
@@ -128,35 +129,25 @@ def _n_dies(defects: Sequence[Defect], group: Sequence[int]) -> int:
     return len({defects[k].die for k in group})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Expected:
-    """Mean number of other dies with a neighbour by chance, of each defect; n_others: dies with defects, less one."""
+def _by_chance(
+    defects: Sequence[Defect], within_um: float | None, grid: DieGrid, n_dies: Collection[int]
+) -> dict[int, float]:
+    """Return, for each number of dies, an upper bound of the probability that any place has defects of so many."""
+    from scipy.special import bdtrc
 
-    means: Floats
-    n_others: int
-
-    def probability(self, n_dies: int) -> float:
-        """Return an upper bound of the probability that any place has defects of this many dies."""
-        from scipy.special import bdtrc
-
-        tails = bdtrc(n_dies - 2, self.n_others, self.means / self.n_others)
-        beyond = n_dies - 1 > self.means + 1
-        return float(min(1.0, np.where(beyond, tails, 1.0).sum()))
-
-
-def _mean_neighbours(defects: Sequence[Defect], within_um: float | None, grid: DieGrid) -> _Expected:
     reach = np.array([_reach_um(defect, within_um) for defect in defects])
     names, die = np.unique([defect.die for defect in defects], return_inverse=True)
-    means = np.empty(len(defects))
+    n_others, means = len(names) - 1, np.empty(len(defects))
     for k in range(len(defects)):
         share = np.pi * np.minimum(reach, reach[k]) ** 2 / (grid.width_um * grid.height_um)
         missed = np.bincount(die, np.log1p(-np.minimum(share, 1 - 1e-12)), len(names))
         missed[die[k]] = 0.0
         means[k] = -np.expm1(missed).sum()
-    return _Expected(means, len(names) - 1)
+    tails = {n: np.where(n - 1 > means + 1, bdtrc(n - 2, n_others, means / n_others), 1.0) for n in n_dies}
+    return {n: float(min(1.0, tail.sum())) for n, tail in tails.items()}
 
 
-def _repeated_place(group: Sequence[Defect], n_whole: int, expected: _Expected | None) -> RepeatedPlace:
+def _repeated_place(group: Sequence[Defect], n_whole: int, chances: Mapping[int, float]) -> RepeatedPlace:
     in_order = sorted(group, key=lambda defect: (_col_row(defect.die), defect.number))
     places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in in_order if d.in_die is not None])
     middle: Floats = np.median(places, axis=0)
@@ -168,7 +159,7 @@ def _repeated_place(group: Sequence[Defect], n_whole: int, expected: _Expected |
         of_dies=n_whole,
         numbers=tuple(defect.number for defect in in_order),
         kind=_usual(in_order),
-        by_chance=expected.probability(len(dies)) if expected is not None else None,
+        by_chance=chances.get(len(dies)),
     )
 
 
