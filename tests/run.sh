@@ -138,6 +138,17 @@ run_tests() {
   "$bin/python" -m pytest -q --durations=25 --no-loadscope-reorder --max-worker-restart 0 "$@"
 }
 
+# A shared machine under load now and then loses a press or misses a deadline. Up to two tests that failed are run again,
+# alone; what they reported the first time stays above.
+run_tests_and_failed_again() {
+  local cache=.pytest_cache/v/cache/lastfailed failed=0
+  rm -f "$cache"
+  run_tests "$@" || failed=$?
+  if [ "$failed" != 1 ] || [ "$(grep -c '": true' "$cache")" -gt 2 ]; then return "$failed"; fi
+  echo "== Tests that failed, again and alone"
+  run_tests "$@" --last-failed -n 0
+}
+
 # All cases of one kind of campaigns. What failed is in the results; a kind without tests ends with 5.
 run_campaigns() {
   local results="$1" kind="$2" ended=0
@@ -160,18 +171,7 @@ all_campaigns() {
 
 # All tests but those that need the machine for themselves and those of the page, whose imports alone take seconds.
 run_beside_browser() {
-  run_tests -n "$1" --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $2"
-}
-
-# The page, its browser and its program share the machine: under load a press has been lost now and then, for a reason not
-# found yet. Up to two tests that failed are run again, alone; what they heard stays in the first report.
-run_browser_tests() {
-  local kind="not real_time and not hardware" cache=.pytest_cache/v/cache/lastfailed failed=0
-  rm -f "$cache"
-  run_tests -n 2 --dist loadfile -m "$kind" tests/browser || failed=$?
-  if [ "$failed" != 1 ] || [ "$(grep -c '": true' "$cache")" -gt 2 ]; then return "$failed"; fi
-  echo "== Browser tests that failed, again and alone"
-  run_tests --last-failed -m "$kind" tests/browser
+  run_tests_and_failed_again -n "$1" --dist loadfile --ignore tests/browser -m "not real_time and not browser and not hardware and $2"
 }
 
 # The modules of the Python API, where whatever a function raises itself is to be documented too.
@@ -270,10 +270,10 @@ if [ "$what" = all ] || [ "$what" = fast ] || [ "$what" = lint ]; then
 fi
 if [ "$what" = docs ]; then step "Documentation" "$bin/wafer-viewer" docs --build; fi
 if [ "$what" = all ]; then
-  step "Tests in real time" run_tests -m "real_time and not hardware" tests/rigs
+  step "Tests in real time" run_tests_and_failed_again -m "real_time and not hardware" tests/rigs
   # The examples have run in the tests.
   WAFER_VIEWER_GALLERY=no start_beside "$bin/wafer-viewer" docs --build
-  step "Browser tests" run_browser_tests
+  step "Browser tests" run_tests_and_failed_again -n 2 --dist loadfile -m "not real_time and not hardware" tests/browser
   step "Documentation" end_beside
 fi
 if [ "$what" = campaigns ]; then step "Campaigns" all_campaigns "${@:2}"; fi

@@ -98,7 +98,7 @@ def test_a_person_at_a_terminal_reads_a_few_lines(surface, monkeypatch, capsys):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     assert main(list(map(str, words))) == 0
     read = capsys.readouterr().out
-    assert re.match(r"StepHeight: height -?\d+\.\d+ ± \d+\.\d+ um \(k = 2\)\n  at joint ", read)
+    assert re.match(r"StepHeight: height -?\d+\.\d+ ± \d+\.\d+ um \(k = 2(\.\d\d)?\)\n  at joint ", read)
     assert "Levelled to the upper face" in read
     assert main([*map(str, words), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["type"] == "step_height"
