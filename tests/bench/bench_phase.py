@@ -53,6 +53,7 @@ class Measured:
 
     frames: Frames
     recipe: Recipe
+    peak_width_um: float
     source: StackSource
     bench: ThreadScratch
     peaks: Peaks
@@ -62,19 +63,20 @@ class Measured:
         frames = prepare(seen.stack)
         recipe = Recipe(focus_measure=measure, window=9)
         recipe = changed(recipe, noise=settled_noise(frames, recipe.noise))
-        recipe = changed(recipe, focus_width_um=focus_width(frames, recipe).um)
+        width = focus_width(frames, recipe)
+        recipe = changed(recipe, focus_width_um=width.um)
         search = search_of(recipe, frames.n_frames, frames.step_um)
         bench = ThreadScratch.make(frames.n_frames, frames.shape, search, frames.dtype)
         peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
         ((_, source),) = developed(frames, stripes(frames.shape, frames.shape[0]), search.margin_px)
         fill_volume(source, search, bench.rows, Volume(*bench.curves, peaks.clipped, peaks.coarse))
-        return cls(frames, recipe, source, bench, peaks)
+        return cls(frames, recipe, width.peak_um, source, bench, peaks)
 
     @property
     def carried(self) -> float:
         """The standard uncertainty of heights of centred peaks for the place of the frames, in steps."""
         step_um = self.frames.step_um
-        return interpolation_u_um("centred", step_um, float(self.recipe.focus_width_um)) / step_um
+        return interpolation_u_um("centred", step_um, self.peak_width_um) / step_um
 
     def search(self, peak: str) -> Search:
         return search_of(changed(self.recipe, peak=peak), self.frames.n_frames, self.frames.step_um)

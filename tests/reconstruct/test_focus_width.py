@@ -11,11 +11,12 @@ import tifffile
 
 from tests.support.campaigns import drawn_after
 from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, seen
+from tests.truth.smooth_scenes import Optics, stack_of
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup, depth_of_field_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.auto_tuning import TOO_WIDE, tune_recipe
+from wafer_viewer.model.surface.recipe import Noise, Recipe
+from wafer_viewer.reconstruct.auto_tuning import TOO_WIDE, focus_width, tune_recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.reconstruct.preprocess.frames import prepare
 from wafer_viewer.store.dataset.stack_import import open_stack
@@ -57,6 +58,20 @@ def test_a_bounded_width_keeps_false_heights_away(depth: str):
         shares.append(one.false_share(reconstruct(stack, threads=1).z_raw_um))
     assert np.mean(shares) < 0.002
     assert max(shares) < 0.006
+
+
+def test_the_width_at_the_peak_hardly_depends_on_where_the_frames_lie():
+    optics = Optics(na=0.28, step_dof=0.55, contrast=0.2, full_well_e=40e3, lens="rays")
+    stacks = [stack_of(np.zeros((96, 160)), optics, np.random.default_rng(seed), PIXEL_UM) for seed in range(100, 112)]
+    widths = [
+        focus_width(prepare(stack), Recipe(window=9, noise=Noise(gain_counts=0.006, floor_counts2=0.3)))
+        for stack in stacks
+    ]
+    by_the_bend, between_crossings = (
+        np.ptp(w) / np.mean(w) for w in zip(*((w.peak_um, w.um) for w in widths), strict=True)
+    )
+    assert by_the_bend < 0.2
+    assert between_crossings > 0.3
 
 
 def test_the_aperture_in_the_objectives_name_bounds_the_width_too():

@@ -32,7 +32,7 @@ STILL = FrameHealth()
 def of_form(z_um: NDArray, window: int = 9) -> NDArray:
     """The uncertainty of heights without noise and with perfect frames."""
     z = np.asarray(z_um, np.float32)
-    return uncertainty_um(np.zeros_like(z), z, window, 2, 0.0, STILL)
+    return uncertainty_um(np.zeros_like(z), z, window, 2, STILL)
 
 
 @pytest.mark.parametrize("measure", focus_measures())
@@ -109,7 +109,7 @@ def test_gaps_and_borders_leave_terms_out_and_are_not_filled() -> None:
 def test_what_frames_cause_is_in_every_height() -> None:
     z_um = np.zeros((20, 20), np.float32)
     health = FrameHealth(u_jitter_um=0.3, u_flicker_um=0.4)
-    u_um = uncertainty_um(np.full_like(z_um, 1.2), z_um, 9, 1, 0.0, health)
+    u_um = uncertainty_um(np.full_like(z_um, 1.2), z_um, 9, 1, health)
     np.testing.assert_allclose(u_um, 1.3, rtol=1e-6)
 
 

@@ -72,6 +72,8 @@ class FocusWidthParameters:
 
 
 FOCUS_WIDTH = FocusWidthParameters()
+LEAST_BESIDE, LEAST_BEND = 1e-4, 1e-4
+"""Smallest value of a curve beside its highest frame, of that one, and smallest bend, in powers of two a frame."""
 TOO_WIDE = 2.0
 """Largest plausible focus width, in depths of field; wide-open and apodised pupils reach 1.5."""
 
@@ -89,7 +91,8 @@ class TunedRecipe:
 
     search, gate, edges: parameters of the peak search, of the gates and of the search at edges, None where edges are
     not searched; resolution_um: the step of the sweep, or the step that suits the optics where the sweep is finer;
-    notes: one sentence for each choice that the data did not support, and for requested tests that were not possible.
+    peak_width_um: width of a focus curve at its peak; notes: one sentence for each choice that the data did not
+    support, and for requested tests that were not possible.
     """
 
     recipe: Recipe
@@ -97,14 +100,19 @@ class TunedRecipe:
     gate: Gate
     edges: EdgeSearch | None
     resolution_um: float
+    peak_width_um: float
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class FocusWidth:
-    """Full width at half maximum of a focus curve, with a note where the data did not determine it."""
+    """Full width at half maximum of a focus curve, with a note where the data did not determine it.
+
+    peak_um: the same by the three highest frames of each curve, which hardly depends on where they lie on it.
+    """
 
     um: float
+    peak_um: float
     notes: tuple[str, ...] = ()
 
 
@@ -112,7 +120,9 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     """Replace every `auto` of a recipe by a value estimated from the data, each from those before it."""
     n_frames = frames.n_frames
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
-    width = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
+    width = focus_width(frames, recipe)
+    if not isinstance(recipe.focus_width_um, str):
+        width = FocusWidth(recipe.focus_width_um, width.peak_um)
     recipe = replace(recipe, focus_width_um=width.um)
     tiles = SearchedTiles(frames)
     recipe = replace(recipe, window=best_window(tiles, recipe) if recipe.window == "auto" else recipe.window)
@@ -127,7 +137,7 @@ def tune_recipe(frames: Frames, recipe: Recipe) -> TunedRecipe:
     edges = edge_search_for(recipe, search, n_frames, resolution_um)
     coarse = coarse_step(frames.step_um, frames.depth_of_field_um, width.um)
     notes = (*coarse, *width.notes, *_untested(frames, recipe, edges))
-    return TunedRecipe(recipe, search, gate, edges, resolution_um, notes)
+    return TunedRecipe(recipe, search, gate, edges, resolution_um, width.peak_um, notes)
 
 
 class SearchedTiles:
@@ -160,15 +170,21 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
         recipe.focus_measure, FOCUS_WIDTH.probe_window, recipe.peak, 1, camera=camera
     )  # heights are not used
     power = focus_measures()[recipe.focus_measure].power
-    widths_um = np.concatenate([_widths_um(bench, peaks, power, frames.z_um) for bench, peaks in _tiles(frames, probe)])
+    each = [
+        (_widths_um(bench, peaks, power, frames.z_um), _peak_widths_um(bench, peaks, power, frames.step_um))
+        for bench, peaks in _tiles(frames, probe)
+    ]
+    widths_um, peak_widths_um = (np.concatenate(part) for part in zip(*each, strict=True))
     step_um, depth_um = frames.step_um, frames.depth_of_field_um
     if len(widths_um) < FOCUS_WIDTH.enough_curves:
-        return FocusWidth(max(step_um, depth_um), () if depth_um > 0 else (_NO_CURVES,))
+        assumed_um = max(step_um, depth_um)
+        return FocusWidth(assumed_um, assumed_um, () if depth_um > 0 else (_NO_CURVES,))
     found_um = max(step_um, float(np.percentile(widths_um, FOCUS_WIDTH.percentile)))
+    peak_um = float(np.percentile(peak_widths_um, FOCUS_WIDTH.percentile))
     most_um = max(step_um, depth_um or _largest_depth_um(frames.pixel_um))
     if depth_um > 0 or found_um <= most_um:
-        return FocusWidth(min(found_um, most_um))
-    return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
+        return FocusWidth(min(found_um, most_um), peak_um)
+    return FocusWidth(most_um, peak_um, (_too_wide(found_um, most_um, frames.pixel_um),))
 
 
 def best_window(tiles: SearchedTiles, recipe: Recipe) -> int:
@@ -235,6 +251,24 @@ def _widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDArray[n
         for inside, outside in ((first, first - 1), (last, last + 1))
     )
     return fall_um - rise_um
+
+
+def _peak_widths_um(bench: ThreadScratch, peaks: Peaks, power: float, step_um: float) -> NDArray[np.float64]:
+    """Return the widths of the curves of a tile by the bend of their logarithm at the highest frame, over the lowest.
+
+    A width between crossings of half the maximum reads one to two steps, by where the frames lie, for all curves that
+    are hardly wider than a step; this one changes by a tenth.
+    """
+    textured = (peaks.contrast > FOCUS_WIDTH.least_contrast) & ~peaks.at_end
+    levels = bench.curves.levels[:, textured].astype(np.float32) / 2**bench.spots.table.bits
+    highest, index = levels.argmax(axis=0), np.arange(levels.shape[1])
+    inside = (highest > 0) & (highest < len(levels) - 1)
+    highest, index = highest[inside], index[inside]
+    top = levels[highest, index]
+    floor = np.exp2(levels.min(axis=0)[inside] - top)
+    below, above = (np.maximum(np.exp2(levels[highest + k, index] - top) - floor, LEAST_BESIDE) for k in (-1, 1))
+    bend = 2 * np.log2(1 - floor) - np.log2(below) - np.log2(above)
+    return step_um * np.sqrt(4 * power / np.maximum(bend, LEAST_BEND))
 
 
 _GIVE_APERTURE = (

@@ -430,6 +430,7 @@ def assemble(
             input_checksum=stack.checksum,
             simulated=stack.simulated,
             z_step_um=field.frames.step_um,
+            even_step_um=field.frames.even_step_um,
             frame_health=health,
             positions_assumed=stack.positions_assumed,
             notes=(*stack.notes, *field.frames.notes, *field.tuned.notes, *jitter_note, *few_heights(cleaned.origin)),
@@ -463,8 +464,7 @@ def uncertainty(
     if corrected.edges is not None:
         noise_um = blanked(noise_um, corrected.found_along)
     passes = focus_measures()[search.measure].passes
-    between_um = interpolation_u_um(recipe.peak, field.frames.step_um, float(recipe.focus_width_um))
-    u_um = uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, between_um, health)
+    u_um = uncertainty_um(noise_um, cleaned.z_raw_um, search.window, passes, health)
     return add_gaps(u_um, cleaned.z_raw_um, frame_gaps(field.frames.z_um, _depth_um(field)))
 
 
@@ -494,7 +494,8 @@ def frame_health(field: PreparedField, z_raw_um: NDArray[np.float32]) -> tuple[F
         jitter_u_um(frame_jitter(means, frames.z_um, step_um).widened_um, step_um, depth_um),
     )
     gap_um = worst_gap_u_um(frame_gaps(frames.z_um, depth_um), z_raw_um)
-    health = FrameHealth(u_jitter_um=jitter_um, u_flicker_um=flicker_um, u_gap_um=gap_um)
+    between_um = interpolation_u_um(field.tuned.recipe.peak, step_um, field.tuned.peak_width_um)
+    health = FrameHealth(u_between_um=between_um, u_jitter_um=jitter_um, u_flicker_um=flicker_um, u_gap_um=gap_um)
     single_um = jitter_um / jitter_u_um(1.0, step_um, depth_um)
     told_um = single_um if single_um >= JITTER_TOLD * step_um else 0.0
     order = order_without_jitter(means, frames.z_um, step_um, told_um)
@@ -560,7 +561,7 @@ def warm_up_stages() -> None:
     frames = prepare(_tiny_stack(np.uint8))
     z_um = np.random.default_rng(1).normal(0, 0.1, frames.shape).astype(np.float32)
     z_um[::7, ::5], z_um[::9, ::11] = 5.0, np.nan
-    uncertainty_um(np.ones_like(z_um), z_um, 9, 2, 0.1, FrameHealth())
+    uncertainty_um(np.ones_like(z_um), z_um, 9, 2, FrameHealth(u_between_um=0.1))
     peaks = Peaks.empty(frames.shape, frames.dtype)
     for layer in (*peaks.scores, peaks.at_end, peaks.clipped):
         layer[:] = 0

@@ -25,6 +25,8 @@ from wafer_viewer.numerics.jit import Greys, Int64s
 Window = tuple[slice, slice]
 """Rows and columns of a field."""
 
+UNEVEN = 0.05
+"""Largest deviation of frames that lie evenly, in steps, rms."""
 _TOGETHER_PX = 1 << 18
 """Pixels of neighbouring frames that are corrected together: they fit the L2 cache."""
 
@@ -145,6 +147,14 @@ class Frames:
     def step_um(self) -> float:
         """Median distance between neighbouring frames."""
         return float(np.median(np.diff(self.z_um)))
+
+    @property
+    def even_step_um(self) -> float:
+        """Distance between frames, exact over the whole sweep; 0 where they do not lie evenly."""
+        number = np.round((self.z_um - self.z_um[0]) / self.step_um)
+        step_um, first_um = np.polyfit(number, self.z_um, 1)
+        off_um = float(np.std(self.z_um - first_um - step_um * number))
+        return float(step_um) if off_um <= UNEVEN * step_um else 0.0
 
     @property
     def as_stored(self) -> bool:

@@ -167,14 +167,13 @@ def uncertainty_um(
     z_um: NDArray[np.float32],
     window: int,
     passes: int,
-    interpolation_um: float,
     health: FrameHealth,
 ) -> NDArray[np.float32]:
     """Return the standard uncertainty (k = 1) of each height in um, NaN where there is none.
 
     noise_um: that of the peaks due to the noise of the camera; z_um: measured heights, NaN elsewhere; both [row, col].
     """
-    common_um2 = interpolation_um**2 + health.u_jitter_um**2 + health.u_flicker_um**2
+    common_um2 = health.u_between_um**2 + health.u_jitter_um**2 + health.u_flicker_um**2
     near, far = max(1, round(SLOPE_WINDOWS * window)), window
     out = np.empty(z_um.shape, np.float32)
     _combine(

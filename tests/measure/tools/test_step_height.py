@@ -8,14 +8,18 @@ from hypothesis import strategies as st
 from tests.support.campaigns import drawn_after, examples
 from tests.support.surfaces import STEP_UM, calibration, gauge_blocks, surface_of
 from wafer_viewer.measure.base import height_samples
+from wafer_viewer.measure.base.levelled_surface import levelled
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.frame_health import FrameHealth
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.blending.stitched_mosaic import mosaic_provenance
 from wafer_viewer.reconstruct.stitching import stitch
 
 UPPER = Region.rectangle(-150, -50, -40, 50)
@@ -96,14 +100,49 @@ def test_whole_frames_are_less_certain_than_peaks_between_them():
     assert abs(step.height.value_um - 8.0) < 1e-6
 
 
-@pytest.mark.parametrize(("width_um", "per_step"), [(8.0, 0.003), (6.4, 0.006), (4.8, 0.0441), (1.0, 0.12)])
-def test_coarser_steps_in_depths_of_field_are_less_certain(width_um, per_step):
+@pytest.mark.parametrize(("width_um", "per_step"), [(9.2, 0.004), (6.8, 0.011), (5.0, 0.08), (1.0, 0.12)])
+def test_narrower_curves_are_less_certain(width_um, per_step):
     z = np.where(np.arange(400) < 200, 8.0, 0.0) * np.ones((200, 1))
     recipe = Recipe(focus_width_um=width_um)
     surface = surface_of(z, calibration=calibration(), recipe=recipe, z_step_um=4.0)
     step = step_height(surface, Region.rectangle(-90, -40, -10, 40), Region.rectangle(10, -40, 90, 40))
     um = budget_of(step)["interpolation between frames"]
     assert um == pytest.approx(4 * np.sqrt(2) * per_step, rel=0.01)
+
+
+TOLD = FrameHealth(u_between_um=0.1)
+LEFT, RIGHT = Region.rectangle(-90, -40, -10, 40), Region.rectangle(10, -40, 90, 40)
+
+
+def between_frames(z_um, **provenance) -> float:
+    """The line of a step between two faces in the frames of one field, 4 um apart."""
+    known = {"even_step_um": 4.0, "frame_health": TOLD, **provenance}
+    surface = surface_of(z_um, calibration=calibration(), recipe=Recipe(focus_width_um=6.0), z_step_um=4.0, **known)
+    return budget_of(step_height(surface, LEFT, RIGHT))["interpolation between frames"]
+
+
+def two_faces(h_um: float, rise_um: float = 0.0):
+    """The left face is h higher than the right one; both rise along y."""
+    along = np.linspace(0, rise_um, 200)[:, None]
+    return np.where(np.arange(400) < 200, h_um, 0.0) + along + 120.7
+
+
+def test_errors_between_frames_cancel_in_whole_steps_and_over_faces_that_span_frames():
+    as_far_apart_as_can_be = between_frames(two_faces(10.0))
+    assert between_frames(two_faces(8.0)) < 0.35 * as_far_apart_as_can_be
+    assert between_frames(two_faces(9.0)) == pytest.approx(np.sqrt(2) * 0.1, rel=1e-3)
+    assert between_frames(two_faces(10.0, rise_um=10.0)) < 0.35 * as_far_apart_as_can_be
+    assert as_far_apart_as_can_be == pytest.approx(0.2, rel=0.03)
+
+
+def test_errors_between_frames_do_not_cancel_where_the_places_of_the_frames_are_not_known():
+    unknown = np.sqrt(2) * 0.1
+    assert between_frames(two_faces(8.0), even_step_um=0.0) == pytest.approx(unknown)
+    surface = surface_of(two_faces(8.0), calibration=calibration(), z_step_um=4.0, even_step_um=4.0, frame_health=TOLD)
+    flat = levelled(surface, Levelling(by="plane"))
+    assert budget_of(step_height(flat, LEFT, RIGHT))["interpolation between frames"] == pytest.approx(unknown)
+    assert mosaic_provenance([surface.provenance] * 2, Recipe()).even_step_um == 0.0
+    assert mosaic_provenance([surface.provenance], Recipe()).even_step_um == 4.0
 
 
 def test_faces_tilted_against_each_other_are_reported():

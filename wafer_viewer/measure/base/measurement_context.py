@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+
 from wafer_viewer.measure.base.correlated_errors import Scatter
-from wafer_viewer.measure.base.height_samples import Layer, layer_of, level_note
+from wafer_viewer.measure.base.height_samples import Floats, Layer, layer_of, level_note
 from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.model.measurement.tool_options import Conditions
 from wafer_viewer.model.quantity import Contribution, Distribution, Length, Quantity, Unit, UStatus
@@ -19,6 +21,11 @@ ARGMAX_INTERPOLATION = 1 / math.sqrt(6)
 """Standard uncertainty of a step, in z steps, when both faces are rounded to frames (two uniform roundings)."""
 INTERPOLATION_SHARE = 0.005
 """Standard uncertainty of a step, in z steps, for interpolated peaks where the depth of field is unknown."""
+ALIKE_BETWEEN_FRAMES = 0.95
+"""Share of the variance of the error between frames that heights at the same place between them have in common.
+
+Level faces of one field, seen by rays, agree better: tests/bench/gauge_step.py.
+"""
 NOT_IN_BUDGET = (
     "Not in the budget: repeat scans, drift during the scan, z offsets between fields, linearity and Abbe offset of "
     "the z axis, temperature other than 20 °C."
@@ -85,11 +92,29 @@ def from_conditions(height_um: float, conditions: Conditions, provenance: Proven
     }
 
 
+def between_frames_um(provenance: Provenance, *sums: tuple[Floats, Floats]) -> float | None:
+    """Return the standard uncertainty of a sum of heights of one field due to peak interpolation between frames.
+
+    sums: weights [n] and heights [n] of each face. The error of a height depends on its place between two frames, and
+    most of it is the same for all heights at the same place: it cancels in a step of whole frames, and over a face that
+    spans them. None where places between frames are not known.
+    """
+    step_um = provenance.even_step_um
+    if step_um == 0 or provenance.recipe.peak == "argmax":
+        return None
+    each = np.array([weight @ np.exp(2j * np.pi / step_um * z_um) for weight, z_um in sums])
+    alike, alone = np.abs(each.sum()) ** 2, np.sum(np.abs(each) ** 2)
+    share = math.sqrt(ALIKE_BETWEEN_FRAMES * alike + (1 - ALIKE_BETWEEN_FRAMES) * alone)
+    return share * interpolation_um(provenance) / math.sqrt(2)
+
+
 def interpolation_um(provenance: Provenance) -> float:
     """Standard uncertainty of a height difference due to peak interpolation between frames."""
-    recipe, step_um = provenance.recipe, provenance.z_step_um
+    recipe, step_um, told_um = provenance.recipe, provenance.z_step_um, provenance.frame_health.u_between_um
     if recipe.peak == "argmax":
         return ARGMAX_INTERPOLATION * step_um
+    if told_um:
+        return math.sqrt(2) * told_um
     if isinstance(recipe.focus_width_um, str):
         return INTERPOLATION_SHARE * step_um
     return math.sqrt(2) * interpolation_u_um(recipe.peak, step_um, recipe.focus_width_um)

@@ -24,8 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.correlated_errors import Scatter, Tiles
+from wafer_viewer.measure.base.error_covariance import WeightedHeights
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, Layer, level_for, require_area
+from wafer_viewer.measure.base.levelled_surface import levelling_of
 from wafer_viewer.measure.base.measurement_context import (
+    INTERPOLATION,
     LEVELLING,
     NOISE,
     PIXEL_SCALE,
@@ -33,6 +36,7 @@ from wafer_viewer.measure.base.measurement_context import (
     Budget,
     Lines,
     MeasurementContext,
+    between_frames_um,
     combined,
     step_budget,
 )
@@ -423,7 +427,20 @@ def _budget(
         LEVELLING: _levelling_um(faces, h) if definition == "common_plane" else 0.0,
         POSES: poses_u_um(reading.surface, pose_sensitivities(faces, h)),
     }
+    if (between_um := _between_frames_um(reading, faces, h)) is not None:
+        of_points[INTERPOLATION] = between_um
     return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
+
+
+def _between_frames_um(reading: MeasurementContext, faces: StepFaces, h: LinearFunctional) -> float | None:
+    """Return the uncertainty of h due to interpolation between frames; None where heights are not over the frames."""
+    if levelling_of(reading.surface).by != "stage":
+        return None
+    sums = [
+        (WeightedHeights.of_fit(face.points, face.design, gradient).weight, face.points.z_um)
+        for face, gradient in ((faces.high, h.high), (faces.low, h.low))
+    ]
+    return between_frames_um(reading.surface.provenance, *sums)
 
 
 def _levelling_um(faces: StepFaces, h: LinearFunctional) -> float:

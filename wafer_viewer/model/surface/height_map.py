@@ -117,6 +117,7 @@ class Provenance(Spec, frozen=True, kw_only=True):
 
     frame_health: uncertainty of heights from the z and the light of the frames; positions_assumed: positions of fields
     were made up by an import, from an assumed overlap, so that they tell nothing about pixel size and camera.
+    even_step_um: distance of the frames of the one field whose heights these are, 0 where they do not lie evenly.
     """
 
     recipe: Recipe = Recipe()
@@ -125,6 +126,7 @@ class Provenance(Spec, frozen=True, kw_only=True):
     input_checksum: str = ""
     simulated: bool = False
     z_step_um: float = 0.0
+    even_step_um: float = 0.0
     frame_health: FrameHealth = FrameHealth()
     positions_assumed: bool = False
     notes: tuple[str, ...] = ()

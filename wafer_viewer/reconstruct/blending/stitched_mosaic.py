@@ -191,6 +191,7 @@ def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance
         calibration=first.calibration if all(p.calibration == first.calibration for p in parts) else None,
         software_version=__version__,
         input_checksum=first.input_checksum if len(parts) == 1 else joint,
+        even_step_um=first.even_step_um if len(parts) == 1 else 0.0,
         simulated=any(p.simulated for p in parts),
         frame_health=FrameHealth.worst(*(p.frame_health for p in parts)),
         notes=(*dict.fromkeys(note for p in parts for note in p.notes), *_mixture(parts)),
