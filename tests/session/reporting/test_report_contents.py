@@ -20,6 +20,8 @@ from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.reporting import report as report_module
+from wafer_viewer.session.reporting import report_data
 from wafer_viewer.session.reporting.report import make_report, report_of
 from wafer_viewer.session.reporting.report_data import numbers_of
 from wafer_viewer.session.reporting.report_pictures import line_across
@@ -27,6 +29,7 @@ from wafer_viewer.store.dataset import integrity
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import digests_of_result
 from wafer_viewer.store.records.conformance_reports import report_html
+from wafer_viewer.store.records.report_language import translated
 
 FACE = Region.rectangle(-50, -30, -10, 30)
 KINDS = (
@@ -126,6 +129,26 @@ def test_places_of_features_and_results_are_numbered_on_the_map(report):
     assert {"F1", "F2", "1", "2"} <= set(re.findall(r'font-weight="650" fill="#FFFFFF">(\w+)<', figure.svg))
     assert "Height, µm" in figure.svg
     assert "x, y in µm" in figure.svg
+
+
+def test_places_that_are_not_on_the_map_are_named_in_both_languages(dataset, monkeypatch):
+    monkeypatch.setattr(report_data, "MOST_MARKS", 3)
+    english, german = (report_of(dataset, RESULT, ReportOrder(language=language)) for language in ("en", "de"))
+    (figure,) = section(english, PART_TITLES["surface"]).figures
+    assert figure.caption.endswith(
+        "Numbers: results; F with a number: features of the job. Not on the map: 2, 3, 4, 5, 6, 7, 8, 9."
+    )
+    (figure,) = section(translated(german), "Oberfläche").figures
+    assert figure.caption.endswith("Nicht auf der Karte: 2, 3, 4, 5, 6, 7, 8, 9.")
+    monkeypatch.setattr(report_module, "MOST_NAMED", 2)
+    (figure,) = section(translated(report_of(dataset, RESULT, ReportOrder(language="de"))), "Oberfläche").figures
+    assert figure.caption.endswith("Nicht auf der Karte: 2, 3 und 6 weitere.")
+
+
+def test_the_map_follows_its_heading_and_the_numbers_of_the_surface_follow_the_map(report):
+    page = report_html(report)
+    heading, drawing, numbers = (page.index(text) for text in ("<h2>Surface</h2>", "x, y in µm", "<dt>Highest</dt>"))
+    assert heading < drawing < numbers
 
 
 def test_a_profile_across_its_place_is_drawn_beside_each_result(report):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wafer_viewer._version import __version__
 from wafer_viewer.draw.charts.marked_map import MapKey, marked_map_svg
-from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.number_format import number, share
 from wafer_viewer.draw.quantities import recipe_rows
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.model.errors import ComputeError, DatasetError
@@ -282,18 +282,37 @@ def _surface(material: Material) -> ReportSection:
     info, title = material.info, PART_TITLES["surface"]
     if info is None:
         return ReportSection(title, empty="The fields are not stitched.")
-    caption = (
-        "Heights of the stitched surface from above, light from the north-west; plain grey: not measured. "
-        "Numbers: results; F with a number: features of the job."
-    )
-    mosaic = material.result.mosaic()
+    mosaic, marks = material.result.mosaic(), marks_of(material)
+    missing = share(1.0 - info.measured_fraction) if info.measured_fraction < 1 else ""
     drawing = marked_map_svg(
         whole_picture(mosaic, info.low_um, info.high_um),
         outline_um(mosaic),
-        marks_of(material),
-        MapKey(info.low_um, info.high_um, DisplayStyle().colours),
+        marks,
+        MapKey(info.low_um, info.high_um, DisplayStyle().colours, missing and f"Not measured, {missing}"),
     )
-    return ReportSection(title, pairs=surface_pairs(info), figures=(Figure("", caption, svg=drawing),))
+    figure = Figure("", " ".join(_map_caption(material, {mark.label for mark in marks})), svg=drawing)
+    return ReportSection(title, pairs=surface_pairs(info), figures=(figure,))
+
+
+def _map_caption(material: Material, marked: set[str]) -> Iterator[str]:
+    """Yield what the map shows, what its numbers are, and which features and results are not on it."""
+    yield "Heights of the stitched surface from above, light from the north-west."
+    features, results = (sum(label.startswith("F") == kind for label in marked) for kind in (True, False))
+    if results and features:
+        yield "Numbers: results; F with a number: features of the job."
+    elif marked:
+        yield "Numbers: results." if results else "F with a number: features of the job."
+    listed = (*(f"F{n}" for n, _ in enumerate(material.features, 1)), *(f"{each.number}" for each in material.findings))
+    absent = [label for label in listed if label not in marked]
+    if absent:
+        named = ", ".join(absent[:MOST_NAMED]) + (
+            f" and {len(absent) - MOST_NAMED} more" if absent[MOST_NAMED:] else ""
+        )
+        yield f"Not on the map: {named}."
+
+
+MOST_NAMED = 20
+"""Features and results that the caption of the map lists as not on it."""
 
 
 def _plan(material: Material) -> ReportSection:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageColor
 
-from wafer_viewer.draw.charts.marked_map import place_svg
+from wafer_viewer.draw.charts.marked_map import HATCH, place_svg
 from wafer_viewer.draw.charts.profile_plot import profile_svg
 from wafer_viewer.draw.surface.display_style import DisplayStyle, Light
 from wafer_viewer.draw.surface.texture_baking import bake, light_gain
@@ -28,7 +28,8 @@ from wafer_viewer.store.io.guarded_reading import require_pixels
 WHOLE_PX, PLACE_PX, PICTURE_PX, LOGO_PX = 1400, 320, 1600, 400
 ROUND_A_PLACE, LEAST_UM = 0.7, 20.0
 """Margin around a region as a fraction of its size, and minimum width of a picture in um."""
-UNMEASURED = (222, 226, 231)
+HATCHES, LEAST_HATCH_PX = 110, 6
+"""Lines of the hatch along the longer side of a picture, and their least distance in px."""
 PROFILE_PX = 430, 200
 BEYOND = 0.75
 """Length of a profile beyond the centres of its places, as a share of their extent along it."""
@@ -174,9 +175,19 @@ def map_picture(part: HeightMap, low_um: float, high_um: float, most_px: int) ->
         return ""
     light = Light(light_gain(part.z_um, part.pixel_um), max(high_um - low_um, 1e-6))
     baked = Image.fromarray(bake(part, DisplayStyle(low=low_um, high=high_um), light))
-    paper = Image.new("RGB", baked.size, UNMEASURED)
-    paper.paste(baked, (0, 0), baked)
-    return _url(paper, most_px)
+    baked.thumbnail((most_px, most_px), Image.Resampling.LANCZOS)
+    hatched = _hatched(baked.size)
+    hatched.paste(baked, (0, 0), baked)
+    return _url(hatched, most_px)
+
+
+def _hatched(size: tuple[int, int]) -> Image.Image:
+    """Return the hatch of what is not measured."""
+    period = max(LEAST_HATCH_PX, max(size) // HATCHES)
+    column, row = np.arange(size[0]), np.arange(size[1])[:, None]
+    lines = (column + row) % period < 0.4 * period
+    ground, line = (np.array(ImageColor.getrgb(colour), np.uint8) for colour in HATCH)
+    return Image.fromarray(np.where(lines[..., None], line, ground))
 
 
 def _url(picture: Image.Image, most_px: int) -> str:
