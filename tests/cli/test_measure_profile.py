@@ -36,6 +36,16 @@ def test_one_line_is_one_answer(tilted, capsys):
     assert found["measured_fraction"] < 0.9
 
 
+def test_a_polyline_has_arc_lengths_and_names_its_corners_in_the_table(tilted, capsys, tmp_path):
+    found = reported(
+        capsys, tilted, "--polyline", -15, 5, 5, 5, 5, 10, "--width-um", 1, "--points", "-o", tmp_path / "path.csv"
+    )
+    assert found["line"]["kind"] == "polyline"
+    assert found["length_um"] == found["points"]["distance_um"][-1] == pytest.approx(25.0)
+    assert found["rise"]["value_um"] == pytest.approx(0.3 * 20 - 0.2 * 5, abs=1e-3)
+    assert "from (-15.00, 5.00) by 1 corner to (5.00, 10.00) um" in (tmp_path / "path.csv").read_text()
+
+
 def test_rows_and_columns_are_cut_by_number_from_edge_to_edge(tilted, capsys):
     row, column = reported(capsys, tilted, "--row", 0, "--column", 79, "--points")
     assert row["line"]["points"] == [[-19.75, 14.75], [19.75, 14.75]]
@@ -75,6 +85,7 @@ def test_figures_and_a_table_are_written_of_several_lines(tilted, capsys, tmp_pa
     [
         (("--row", 60), "There is no row 60: the surface has the rows 0 to 59."),
         (("--line", 1, 2, 3), "--line has 3 numbers: give X0 Y0 X1 Y1 for each line."),
+        (("--polyline", 1, 2, 3), "--polyline has 3 numbers: give X Y of each of its points, at least two."),
         ((), "0 lines are asked for: give 1 to 4"),
         (("--row", 1, 2, 3, 4, 5), "5 lines are asked for: give 1 to 4"),
         (("--row", 1, "-o", "cut.xls"), "Profiles cannot be written as '.xls': use .csv, .png, .pdf or .svg."),

@@ -198,6 +198,7 @@ def measure_site_range(
 def measure_profile(
     src: Source,
     line: Numbers = (),
+    polyline: Numbers = (),
     row: Integers = (),
     column: Integers = (),
     width_um: float = 0.0,
@@ -209,11 +210,12 @@ def measure_profile(
     points: bool = False,
     out: OutFile = None,
 ) -> None:
-    """Sections along lines, rows and columns, four at most, as JSON; a list of them where there are several. Stage um.
+    """Sections along lines, a polyline, rows and columns, four at most, as JSON; several are a list. Stage um.
 
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
         line: The two ends of a line; eight numbers are two lines.
+        polyline: The points of a path, in order; distances along it are arc lengths.
         row: Rows by number, from edge to edge; 0 is the top one.
         column: Columns by number; 0 is the left one.
         width_um: Width across a line that is averaged over.
@@ -230,7 +232,7 @@ def measure_profile(
     if out is not None:
         require_section_format(out.suffix)
     surface, calibrated = _opened(src, field, result)
-    lines = _lines(surface, line, row, column, width_um)
+    lines = _lines(surface, line, polyline, row, column, width_um)
     levelling = levelling_from(level)
     requests = [SectionRequest(place, at, field, levelling) for place, at in enumerate(lines)]
     source = src.stem if field == 0 else f"{src.stem}, field {field}"
@@ -254,17 +256,25 @@ def _opened(src: Path, field: int, result: str) -> tuple[Mosaic, bool]:
     return measured_surface(src, field, result)
 
 
-def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, width_um: float) -> list[Region]:
-    """Return the requested lines: lines first, then rows, then columns. Raises MeasureError for none or too many."""
+def _lines(
+    surface: Outline, ends: Numbers, path: Numbers, rows: Integers, columns: Integers, width_um: float
+) -> list[Region]:
+    """Return lines, then the polyline, rows and columns. Raises MeasureError for none or too many."""
     if len(ends) % 4:
         raise MeasureError(f"--line has {len(ends)} numbers: give X0 Y0 X1 Y1 for each line.")
+    if len(path) % 2 or len(path) == 2:
+        raise MeasureError(f"--polyline has {len(path)} numbers: give X Y of each of its points, at least two.")
+    points = list(zip(path[::2], path[1::2], strict=True))
     lines = [
         *(Region.line(*ends[k : k + 4], width_um=width_um) for k in range(0, len(ends), 4)),
+        *([Region.polyline(*points, width_um=width_um)] if points else []),
         *(row_line(surface, row, width_um) for row in rows),
         *(column_line(surface, column, width_um) for column in columns),
     ]
     if not 1 <= len(lines) <= MOST_LINES:
-        raise MeasureError(f"{len(lines)} lines are asked for: give 1 to {MOST_LINES} with --line, --row and --column.")
+        raise MeasureError(
+            f"{len(lines)} lines are asked for: give 1 to {MOST_LINES} with --line, --polyline, --row and --column."
+        )
     return lines
 
 

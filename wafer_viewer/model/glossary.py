@@ -143,9 +143,13 @@ GLOSSARY: tuple[Term, ...] = (
     Term("slab", "Surface", "The points between two upright planes along a line; their section is its profile."),
     Term("depth of field", "Surface", "The range of z in which a plane appears sharp, set by NA and wavelength."),
     # ------------------------------------------------------------------------------------------------- measurement
-    Term("region", "Measurement", "A rectangle, circle, polygon or line in stage µm on which something is measured."),
+    Term(
+        "region",
+        "Measurement",
+        "A rectangle, circle, polygon, line or polyline in stage µm on which something is measured.",
+    ),
     Term("result", "Measurement", "A measurement that was kept, with number, name, place and uncertainty."),
-    Term("profile", "Measurement", "Heights along a line, averaged over a width.", "ISO 21920-2"),
+    Term("profile", "Measurement", "Heights along a line or a polyline, averaged over a width.", "ISO 21920-2"),
     Term("Pt", "Measurement", "Total height of a profile.", "ISO 21920-2"),
     Term("step height", "Measurement", "The height of one face over another.", "ISO 5436-1"),
     Term("groove", "Measurement", "A profile with two edges, deeper or higher between them.", "ISO 5436-1"),

@@ -19,12 +19,13 @@ class Point(Spec, frozen=True, kw_only=True, array_like=True):
     y_um: float
 
 
-RegionKind = Literal["rectangle", "circle", "polygon", "line", "point"]
+RegionKind = Literal["rectangle", "circle", "polygon", "line", "polyline", "point"]
 _POINTS: dict[RegionKind, tuple[int, int]] = {
     "rectangle": (2, 2),
     "circle": (1, 1),
     "polygon": (3, 10_000),
     "line": (2, 2),
+    "polyline": (2, 10_000),
     "point": (1, 1),
 }
 _WITH_AREA: tuple[RegionKind, ...] = ("rectangle", "circle", "polygon")
@@ -34,6 +35,8 @@ _AREA_STEPS = 1000
 
 class Region(Spec, frozen=True, kw_only=True):
     """A rectangle (two opposite corners), circle (centre, radius), polygon (corners), line (two ends) or point.
+
+    Or a polyline: a path through two or more points.
 
     excluded: rectangles, circles and polygons that are taken out of a region with an area.
     """
@@ -80,6 +83,11 @@ class Region(Spec, frozen=True, kw_only=True):
         return cls(kind="line", points=ends, width_um=width_um)
 
     @classmethod
+    def polyline(cls, *points: tuple[float, float], width_um: float = 0.0) -> Region:
+        """Return the path through points (x_um, y_um), in order; heights are averaged over width_um across it."""
+        return cls(kind="polyline", points=tuple(Point(x_um=x, y_um=y) for x, y in points), width_um=width_um)
+
+    @classmethod
     def point(cls, x_um: float, y_um: float) -> Region:
         """Return a single point."""
         return cls(kind="point", points=(Point(x_um=x_um, y_um=y_um),))
@@ -87,6 +95,11 @@ class Region(Spec, frozen=True, kw_only=True):
     def without(self, *excluded: Region) -> Region:
         """Return the region without these regions: a mask with holes."""
         return replace(self, excluded=(*self.excluded, *excluded))
+
+    @property
+    def is_path(self) -> bool:
+        """True for a line and a polyline."""
+        return self.kind in ("line", "polyline")
 
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
@@ -97,7 +110,7 @@ class Region(Spec, frozen=True, kw_only=True):
 
     @property
     def area_um2(self) -> float:
-        """Enclosed area, 0 for a line or a point; without excluded regions, within about 0.1 % of the bounding box."""
+        """Enclosed area, 0 for a path or a point; without excluded regions, within about 0.1 % of the bounding box."""
         if self.excluded:
             x0, y0, x1, y1 = self.bounds_um
             middles = (np.arange(_AREA_STEPS) + 0.5) / _AREA_STEPS
@@ -124,7 +137,7 @@ class Region(Spec, frozen=True, kw_only=True):
         return (x * dx + y * dy) / length, (y * dx - x * dy) / length
 
     def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return a mask of the points (arrays that broadcast together) inside; a line or a point contains none."""
+        """Return a mask of the points (arrays that broadcast together) inside; a path or a point contains none."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
         inside = self._outline_contains(x, y)
         for region in self.excluded:
@@ -132,7 +145,7 @@ class Region(Spec, frozen=True, kw_only=True):
         return inside
 
     def _outline_contains(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        if self.kind in ("line", "point"):
+        if self.kind not in _WITH_AREA:
             return np.zeros(x.shape, bool)
         if self.kind == "circle":
             center = self.points[0]

@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 
 from tests.support.campaigns import examples
 from tests.support.surfaces import calibration, coordinates, surface_of
+from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.measure.tools import profile as module
-from wafer_viewer.measure.tools.profile import profile
+from wafer_viewer.measure.tools.flatness import flatness
+from wafer_viewer.measure.tools.profile import profile, slab_profile
+from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin
@@ -38,6 +41,73 @@ def test_a_plane_is_cut_exactly_along_any_line(start, end, width_um):
     assert found.length_um == pytest.approx(curve.distance_um[-1])
     assert found.measured_fraction == 1.0
     assert np.diff(curve.distance_um).max() <= 0.5 + 1e-9
+
+
+def around(radius_um, n=361, turns=1.0):
+    angle = np.linspace(0, 2 * np.pi * turns, n)
+    return list(zip(radius_um * np.cos(angle), radius_um * np.sin(angle), strict=True))
+
+
+def polar(rows=200, cols=200):
+    x_um, y_um = np.meshgrid(*coordinates(rows, cols))
+    return np.hypot(x_um, y_um), np.mod(np.arctan2(y_um, x_um), 2 * np.pi)
+
+
+@pytest.mark.parametrize("width_um", [0.0, 4.0])
+def test_a_circle_round_a_cone_is_level_and_as_long_as_its_arc(width_um):
+    radius_um, _ = polar()
+    circle = Region.polyline(*around(30.0), width_um=width_um)
+    found, curve = profile(surface_of(10 - 0.5 * radius_um), circle)
+    np.testing.assert_allclose(curve.z_um, -5.0, atol=0.01)
+    assert found.pt.value_um < 0.01
+    assert found.length_um == pytest.approx(2 * np.pi * 30.0, rel=2e-5)
+    np.testing.assert_allclose(np.hypot(curve.x_um, curve.y_um), 30.0, atol=0.002)
+    steps_um = np.hypot(np.diff(curve.x_um), np.diff(curve.y_um))
+    np.testing.assert_allclose(steps_um, np.diff(curve.distance_um), rtol=1e-3)
+
+
+def test_a_path_up_a_helix_rises_by_its_lead_along_the_arc():
+    _, angle = polar()
+    lead_um, radius_um = 6.0, 40.0
+    quarter_turns = Region.polyline(*around(radius_um, 200, 0.9)[10:])
+    found, curve = profile(surface_of(lead_um * angle / (2 * np.pi)), quarter_turns)
+    slope = np.polyfit(curve.distance_um, curve.z_um, 1)[0]
+    assert slope == pytest.approx(lead_um / (2 * np.pi * radius_um), rel=1e-4)
+    assert found.rise.value_um == pytest.approx(slope * found.length_um, abs=0.01)
+
+
+def test_a_path_over_a_cone_dips_and_rises_with_the_distance_from_its_tip():
+    radius_um, _ = polar()
+    corners = [(-30.0, -20.0), (10.0, -20.0), (10.0, 25.0)]
+    found, curve = profile(surface_of(-radius_um), Region.polyline(*corners))
+    assert found.length_um == 85.0
+    np.testing.assert_allclose(curve.z_um, -np.hypot(curve.x_um, curve.y_um), atol=0.01)
+    x_um, y_um = (np.interp(curve.distance_um, [0, 40, 85], along) for along in zip(*corners, strict=True))
+    np.testing.assert_allclose(curve.x_um, x_um, atol=1e-9)
+    np.testing.assert_allclose(curve.y_um, y_um, atol=1e-9)
+
+
+def test_points_on_one_line_make_the_profile_of_that_line():
+    surface = surface_of(np.random.default_rng(4).normal(size=(80, 120)))
+    straight = profile(surface, Region.line(-20, -10, 20, 10, width_um=3))[1]
+    bent = profile(surface, Region.polyline((-20, -10), (-4, -2), (-4, -2), (20, 10), width_um=3))[1]
+    np.testing.assert_allclose(bent.distance_um, straight.distance_um)
+    np.testing.assert_allclose(bent.z_um, straight.z_um, atol=1e-6)
+
+
+@pytest.mark.parametrize("measure", [roughness, step_profile, slab_profile])
+def test_what_needs_a_straight_line_refuses_a_polyline(measure):
+    with pytest.raises(MeasureError, match="needs a straight line"):
+        measure(surface_of(slope()), Region.polyline((-20, 0), (0, 5), (20, 0)))
+
+
+def test_a_path_without_length_is_refused_and_has_no_area():
+    with pytest.raises(MeasureError, match=r"begins and ends at \(1.0, 2.0\)"):
+        profile(surface_of(slope()), Region.polyline((1, 2), (1, 2)))
+    with pytest.raises(MeasureError, match="at least 2 points for a polyline"):
+        Region.polyline((1, 2))
+    with pytest.raises(MeasureError, match="is a polyline and has no area"):
+        flatness(surface_of(slope()), Region.polyline((1, 2), (3, 4)))
 
 
 def test_a_line_begins_at_its_first_point():

@@ -166,6 +166,8 @@ def test_a_line_crosses_the_places_of_a_result():
     line = line_across((upper, lower))
     assert [(round(p.x_um, 6), round(p.y_um, 6)) for p in line.points] == [(-60, 0), (60, 0)]
     assert line_across((Region.line(0, 0, 5, 5, 2),)) == Region.line(0, 0, 5, 5, 2)
+    path = Region.polyline((0, 0), (5, 5), (9, 5))
+    assert line_across((path,)) == path
     (start, stop) = line_across((Region.point(3, 4),)).points
     assert (start.y_um, stop.y_um) == (4, 4)
     assert start.x_um < 3 < stop.x_um

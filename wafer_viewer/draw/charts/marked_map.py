@@ -147,13 +147,13 @@ def _beside(axes: ChartAxes, regions: Sequence[Region]) -> NDArray[np.float64]:
         left, right, foot, top = axes.x.at(x0), axes.x.at(x1), axes.y.at(y0), axes.y.at(y1)
         x, y = (left + right) / 2, (foot + top) / 2
         corners = [(left, top), (right, top), (left, foot), (right, foot)]
-        if region.kind == "line":
+        if region.is_path:
             corners = [(axes.x.at(p.x_um), axes.y.at(p.y_um)) for p in (region.points[0], region.points[-1])]
         elif region.kind == "circle":
             corners = [(x + (cx - x) * math.sqrt(0.5), y + (cy - y) * math.sqrt(0.5)) for cx, cy in corners]
         elif region.kind == "point":
             corners = [(x + dx, y + dy) for dy in (-_POINT_PX, _POINT_PX) for dx in (-_POINT_PX, _POINT_PX)]
-        large = region.kind not in ("line", "point") and min(right - left, foot - top) >= 4 * _BADGE_PX
+        large = not region.is_path and region.kind != "point" and min(right - left, foot - top) >= 4 * _BADGE_PX
         found += corners if large else [_beyond(corner, (x, y)) for corner in corners]
     return np.array(found)
 
@@ -265,7 +265,7 @@ def _outline(axes: ChartAxes, region: Region) -> str:
         x0, y0, x1, y1 = region.bounds_um
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     path = "L".join(f"{axes.x.at(x):.1f} {axes.y.at(y):.1f}" for x, y in corners)
-    return f"M{path}" + ("" if region.kind == "line" else "Z")
+    return f"M{path}" + ("" if region.is_path else "Z")
 
 
 def _scale_plate(foot: float, per_um: float, wide_um: float) -> Markup:

@@ -126,7 +126,7 @@ def require_region(region: object, what: str) -> None:
 def require_area(region: Region, what: str) -> None:
     """Raise MeasureError for what is no region, and for a line or a point, which have no area to measure."""
     require_region(region, what)
-    if region.kind in ("line", "point"):
+    if region.is_path or region.kind == "point":
         raise MeasureError(
             f"The {what} region is a {region.kind} and has no area: draw a rectangle, a circle or a polygon."
         )

@@ -17,7 +17,7 @@ from wafer_viewer.measure.texture.areal_texture import SEVEN_POINT
 from wafer_viewer.measure.texture.material_ratio import bearing, material_ratio_curve
 from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
 from wafer_viewer.measure.texture.texture_noise import length_lines, noise_notes, noise_of, with_scale
-from wafer_viewer.measure.tools.profile import profile
+from wafer_viewer.measure.tools.profile import profile, require_straight
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, Roughness
 from wafer_viewer.model.measurement.tool_options import Borders, RoughnessOptions
@@ -146,6 +146,7 @@ def roughness(
     """
     options = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um, noise_um=noise_um, borders=borders)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
+    require_straight(line)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     pixel_um = _pixel_um(curve)
     evaluated = _evaluated(curve, pixel_um, options)

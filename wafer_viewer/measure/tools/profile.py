@@ -1,7 +1,8 @@
-"""Profile of a surface along a line, of measured points only; and slab sections, of every point between two planes."""
+"""Profile of a surface along a path, of measured points only; and slab sections, of every point between two planes."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -43,7 +44,7 @@ def profile(
     level: int | None = None,
     name: str = "",
 ) -> tuple[Profile, ProfileCurve]:
-    """Return the profile along a line and its numbers.
+    """Return the profile along a line or a polyline and its numbers.
 
     The profile has one sample per pixel, from measured pixels only, averaged over the `width_um` of the line.
 
@@ -52,7 +53,7 @@ def profile(
     surface : Mosaic
         Height map or mosaic to measure; regions are in its stage coordinates, um.
     line : Region
-        Line, in stage um; its `width_um` is the width of averaging across it, 0 for none.
+        Line or polyline, in stage um; its `width_um` is the width of averaging across it, 0 for none.
     calibration_valid : bool, optional
         Whether the calibration of the surface is valid. Default True. Where it is False, or the surface has no
         calibration, results have status 'uncalibrated' and no uncertainty.
@@ -69,8 +70,8 @@ def profile(
         Pt (peak to valley) and the rise from the first to the last measured sample, in um. Their uncertainty is not
         evaluated.
     ProfileCurve
-        Distance along the line, height, and stage x and y of each sample: float64 [n], in um; heights are NaN where the
-        surface is unmeasured.
+        Distance along the line (the arc length of a polyline), height, and stage x and y of each sample: float64 [n],
+        in um; heights are NaN where the surface is unmeasured.
 
     Raises
     ------
@@ -82,7 +83,9 @@ def profile(
     Notes
     -----
     Heights are interpolated bilinearly between measured pixels. A sample is measured where at least half of the weight
-    of its pixels is measured. Pt is a parameter of ISO 21920-2 [1]_.
+    of its pixels is measured. Across a polyline, heights are averaged at right angles to the path between the two
+    neighbours of a sample, so the width turns at corners. A curve is a polyline of many points: points a distance d
+    apart on a radius R shorten it by the fraction d**2 / (24 R**2). Pt is a parameter of ISO 21920-2 [1]_.
 
     References
     ----------
@@ -148,18 +151,23 @@ def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileC
 
 def places_across(line: Region, x_um: Floats, y_um: Floats, pixel_um: float) -> tuple[Floats, Floats]:
     """Return the places [sample, across] over which samples of a line at x, y [sample] are averaged."""
-    (xa, ya), (xb, yb), length_um = *((p.x_um, p.y_um) for p in line.points), length_um_of(line)
     across = _offsets_um(line.width_um, pixel_um)
-    return x_um[:, None] - across * (yb - ya) / length_um, y_um[:, None] + across * (xb - xa) / length_um
+    if line.kind == "polyline":
+        dx, dy = np.gradient(x_um)[:, None], np.gradient(y_um)[:, None]
+        length_um = np.maximum(np.hypot(dx, dy), 1e-9)
+    else:
+        (xa, ya), (xb, yb), length_um = *((p.x_um, p.y_um) for p in line.points), length_um_of(line)
+        dx, dy = xb - xa, yb - ya
+    return x_um[:, None] - across * dy / length_um, y_um[:, None] + across * dx / length_um
 
 
 def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
     """Return sample places along a line, about a pixel apart, with heights NaN."""
-    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
-    length_um = length_um_of(line)
+    length_um, places = length_um_of(line), np.array([(p.x_um, p.y_um) for p in line.points])
     # A line between pixel centres contains exactly these pixels, whatever the rounding of its length.
     share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-9) + 1))
-    x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
+    passed = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    x_um, y_um = (np.interp(share, passed / passed[-1], along) for along in places.T)
     return ProfileCurve(distance_um=share * length_um, z_um=np.full(len(share), np.nan), x_um=x_um, y_um=y_um)
 
 
@@ -194,13 +202,19 @@ def _bilinear(part: Heights, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats
 
 
 def length_um_of(line: Region) -> float:
-    """Return the length of a line in um. Raises MeasureError for another region, and for zero length."""
-    if line.kind != "line":
+    """Return the length of a line or polyline in um. Raises MeasureError for another region, and for zero length."""
+    if not line.is_path:
         raise MeasureError(f"A profile needs a line, this region is a {line.kind}: draw a line.")
-    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
-    if (length := math.hypot(xb - xa, yb - ya)) == 0:
-        raise MeasureError(f"The line begins and ends at ({xa:.1f}, {ya:.1f}) um: draw it longer.")
+    places = [(p.x_um, p.y_um) for p in line.points]
+    if (length := math.fsum(itertools.starmap(math.dist, itertools.pairwise(places)))) == 0:
+        raise MeasureError("The line begins and ends at ({:.1f}, {:.1f}) um: draw it longer.".format(*places[0]))
     return length
+
+
+def require_straight(line: Region) -> None:
+    """Raise MeasureError for a path that is not a straight line."""
+    if line.kind == "polyline":
+        raise MeasureError("This needs a straight line, and the region is a polyline: only a profile follows one.")
 
 
 def _level_for(surface: Mosaic, length_um: float) -> int:
@@ -261,6 +275,7 @@ def slab_profile(
     MeasureError
         When the region is no line, has no length, lies outside, or fewer than two pixels along it were measured.
     """
+    require_straight(line)
     length_um = length_um_of(line)
     level = _slab_level(surface, line, length_um)
     pixel_window(surface, line, level)

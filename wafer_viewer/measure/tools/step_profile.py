@@ -23,7 +23,7 @@ from wafer_viewer.measure.base.height_samples import Floats, Layer
 from wafer_viewer.measure.base.measurement_context import NOISE, POSES, Lines, MeasurementContext, step_budget
 from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.measure.base.robust_fit import least_squares
-from wafer_viewer.measure.tools.profile import places_across, profile
+from wafer_viewer.measure.tools.profile import places_across, profile, require_straight
 from wafer_viewer.measure.tools.step_height import PoseSensitivities, poses_u_um
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import ProfileCurve, StepProfile
@@ -267,6 +267,7 @@ def step_profile(
     """
     require_choice("shape", shape, Shape, MeasureError)
     reading = MeasurementContext.of(surface, layer, calibration_valid)
+    require_straight(line)
     section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
     measured = _some(curve, np.isfinite(curve.z_um))
     if len(measured.z_um) < 3 * STEP_PROFILE.least_samples:

@@ -89,7 +89,7 @@ def _range_um(part: HeightMap, low_um: float, high_um: float) -> tuple[float, fl
 
 def line_across(places: tuple[Region, ...]) -> Region:
     """Return the line of a result, or one through its first two places, or across its only one."""
-    drawn = next((place for place in places if place.kind == "line"), None)
+    drawn = next((place for place in places if place.is_path), None)
     if drawn is not None:
         return drawn
     ends = places[0], places[min(1, len(places) - 1)]
@@ -129,12 +129,13 @@ def _profile(surface: Mosaic, line: Region, places: tuple[Region, ...], finding:
 
 def _along(line: Region, place: Region) -> Iterator[tuple[float, float]]:
     """Yield the parts of a line inside a place, as distances from its first end."""
-    (a, b), share = line.points, np.linspace(0, 1, BAND_POINTS)
-    inside = place.contains(a.x_um + share * (b.x_um - a.x_um), a.y_um + share * (b.y_um - a.y_um))
+    from wafer_viewer.measure.tools.profile import length_um_of, samples_along
+
+    path = samples_along(line, length_um_of(line) / BAND_POINTS)
+    inside = place.contains(path.x_um, path.y_um)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
-    length = float(np.hypot(b.x_um - a.x_um, b.y_um - a.y_um))
     for first, last in ends.reshape(-1, 2).tolist():
-        yield length * float(share[first]), length * float(share[last - 1])
+        yield float(path.distance_um[first]), float(path.distance_um[last - 1])
 
 
 def _surface(material: Material, show: int) -> Mosaic | None:

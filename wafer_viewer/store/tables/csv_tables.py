@@ -238,10 +238,11 @@ def _heading(sections: Sequence[Section], software_version: str) -> list[str]:
 
 def _about(section: Section) -> str:
     profile = section.profile
-    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in profile.line.points)
+    first, *corners, last = profile.line.points
+    corner = f" by {len(corners)} corner{'' if len(corners) == 1 else 's'}" if corners else ""
     facts = [
         section.source,
-        f"from ({xa:.2f}, {ya:.2f}) to ({xb:.2f}, {yb:.2f}) um",
+        f"from ({first.x_um:.2f}, {first.y_um:.2f}){corner} to ({last.x_um:.2f}, {last.y_um:.2f}) um",
         f"width {profile.line.width_um:g} um",
         LAYER_TITLES[profile.surface],
         f"filter {profile.filter}",
