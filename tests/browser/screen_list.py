@@ -278,6 +278,7 @@ SCREENS: dict[str, Screen] = {
     "groove": measuring(press("Shift+K")),
     "profile": measuring(press("l")),
     "profiles": measuring(press("l"), press("Shift+L"), press("Shift+H")),
+    "profile-corners": measuring(press("l"), press_button("Add corner"), press_button("Add corner")),
     "point": measuring(press("x")),
     "distance": measuring(press("m")),
     "flatness": measuring(press("Shift+F")),

@@ -13,8 +13,16 @@ from wafer_viewer.gui.measure.profile_dock import CursorMove, parse_cursor_event
 from wafer_viewer.gui.presenters.measurement import head
 from wafer_viewer.gui.state.view_state import PlotView, View, changed, with_cursor
 from wafer_viewer.gui.steps.profiles import LineCommands
+from wafer_viewer.gui.tools.profile_lines import nearest_share
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.sections import Gap, OtherSurface, Section, column_line, row_line
+from wafer_viewer.model.measurement.sections import (
+    Gap,
+    OtherSurface,
+    Section,
+    column_line,
+    perpendicular_line,
+    row_line,
+)
 from wafer_viewer.model.region import Region
 
 LATTICE = SimpleNamespace(pixel_um=0.5, x0_um=-100.0, y0_um=50.0, shape=(200, 400))
@@ -135,6 +143,38 @@ def test_a_cut_beside_the_surface_goes_through_the_middle_of_the_line():
     page = Page(View(step="measure", tool="profile", lines=LINES), look_at_mm=(9.0, 9.0, 0.0))
     LineCommands(page).cut("row")
     assert page.view.lines[0] == row_line(LATTICE, 100, 2.0)
+
+
+def test_a_line_gets_corners_and_becomes_straight_again(page):
+    verbs = LineCommands(page)
+    verbs.add_corner()
+    assert page.view.lines == (Region.polyline((-50, 0), (0, 0), (50, 0), width_um=2.0), LINES[1])
+    page.change(lines=(Region.polyline((-50, 0), (0, 40), (50, 0), width_um=2.0), LINES[1]))
+    verbs.add_corner()
+    assert [(p.x_um, p.y_um) for p in page.view.lines[0].points] == [(-50, 0), (-25, 20), (0, 40), (50, 0)]
+    verbs.remove_corner()
+    assert [(p.x_um, p.y_um) for p in page.view.lines[0].points] == [(-50, 0), (0, 40), (50, 0)]
+    verbs.remove_corner()
+    verbs.remove_corner()
+    assert page.view.lines == LINES
+
+
+def test_a_path_with_corners_is_no_slab_and_may_be_crossed(page):
+    bent = Region.polyline((-50, 0), (0, 40), (50, 0))
+    page.change(lines=(bent, LINES[1]), look="points", before="hide")
+    assert page.view.clipped.slab is None
+    asked = measured(page, LiveProfiles(page))
+    assert [request.slab for request in asked] == [False, True]
+    page.change(lines=(bent,))
+    LineCommands(page).add()
+    assert page.view.lines == (bent, perpendicular_line(Region.line(-50, 0, 50, 0), LATTICE))
+
+
+def test_the_nearest_place_of_a_path_is_a_share_of_its_arc_length():
+    path = Region.polyline((0, 0), (30, 0), (30, 10))
+    assert nearest_share(path, (15, 3)) == pytest.approx((15 / 40, 3.0))
+    assert nearest_share(path, (33, 5)) == pytest.approx((35 / 40, 3.0))
+    assert nearest_share(path, (30, 99)) == pytest.approx((1.0, 89.0))
 
 
 def test_lines_are_added_up_to_four_and_the_last_one_stays(page):

@@ -35,7 +35,7 @@ from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.surface_tiles import VERTICES, cut, display_style_of
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.scenes.surface_scene import block_items
-from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.state.view_state import View, changed
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.measurements import PointHeight
 from wafer_viewer.model.measurement.tool_options import Datum, Levelling
@@ -327,6 +327,23 @@ def test_a_profile_begins_on_the_surface_and_follows_its_handles(browser: Browse
     until(lambda: len(lines) > 1)
     assert (lines[-1].points[1].x_um, lines[-1].points[1].y_um) == pytest.approx((200.0, -100.0), abs=3.0)
     assert lines[-1].points[0] == lines[0].points[0]
+
+
+def test_every_corner_of_a_profile_has_a_handle(browser: Browser, scene: SceneView) -> None:
+    lines: list[Region] = []
+    scene.on_lines(lambda told, line: lines.append(told[line]))
+    bent = Region.polyline((-200, 0), (0, 80), (200, 0))
+    straight = View(step="measure", tool="profile", exaggeration=1.0, lines=(Region.line(-200, 0, 200, 0),))
+    scene.draw(SNAPSHOT, straight)
+    settled(scene)
+    scene.draw(SNAPSHOT, changed(straight, lines=(bent,)))
+    scene.look_from("top")
+    settled(scene)
+    drag(browser, "profile/0/1/ball", 50.0, -100.0)
+    until(lambda: lines)
+    assert lines[-1].kind == "polyline"
+    assert [(p.x_um, p.y_um) for p in lines[-1].points[::2]] == [(-200, 0), (200, 0)]
+    assert (lines[-1].points[1].x_um, lines[-1].points[1].y_um) == pytest.approx((50.0, -100.0), abs=3.0)
 
 
 def test_regions_begin_on_two_plateaus(browser: Browser, scene: SceneView) -> None:

@@ -163,6 +163,12 @@ def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
         (MEASURED, View(step="measure"), "Rename the result…", "no result is chosen"),
         (MEASURED, View(step="measure"), "Add a profile line", "key L adds a line"),
         (MEASURED, View(step="measure", tool="profile", lines=(LINE,)), "Next profile line", "no other line"),
+        (
+            MEASURED,
+            View(step="measure", tool="profile", lines=(LINE,)),
+            "Remove a corner of the profile line",
+            "the line is straight",
+        ),
         (MEASURED, View(step="measure", tool="profile", lines=(LINE,) * 4), "Add a profile line", "4 lines already"),
     ],
 )

@@ -148,7 +148,7 @@ class LiveProfiles:
 def _section_requests(view: View) -> Iterator[SectionRequest]:
     """Yield the request of every line, followed for the active one by its comparisons."""
     for place, line in enumerate(view.lines):
-        yield SectionRequest(place, line, view.show, view.levelling, slab=view.look == "points")
+        yield SectionRequest(place, line, view.show, view.levelling, slab=view.look == "points" and line.kind == "line")
         if place == view.line and view.plot.cleaned:
             yield SectionRequest(place, line, view.show, view.levelling, cleaned=True)
         if place == view.line and view.plot.of is not None:

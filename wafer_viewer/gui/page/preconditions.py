@@ -123,6 +123,12 @@ def no_room_for_lines(snapshot: Snapshot, view: View) -> str | None:
     return no_line(snapshot, view) or (full if len(view.lines) >= MOST_LINES else None)
 
 
+def no_corner(snapshot: Snapshot, view: View) -> str | None:
+    """Require a profile along a polyline."""
+    bent = view.active_line is not None and view.active_line.kind == "polyline"
+    return no_line(snapshot, view) or (None if bent else "the line is straight.")
+
+
 def no_other_line(snapshot: Snapshot, view: View) -> str | None:
     """Require at least two profile lines."""
     return no_line(snapshot, view) or (None if len(view.lines) > 1 else "there is no other line.")

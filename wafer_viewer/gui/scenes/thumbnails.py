@@ -143,6 +143,6 @@ def _path(place: Region, box: Box) -> Markup:
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x[::step], y[::step], strict=True))
     return (
         Markup('<polyline points="{}"/>').format(points)
-        if place.kind == "line"
+        if place.is_path
         else Markup('<polygon points="{}"/>').format(points)
     )

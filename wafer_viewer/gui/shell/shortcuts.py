@@ -31,9 +31,11 @@ from wafer_viewer.gui.elements.step import Here
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.preconditions import (
     cannot_go_to,
+    no_corner,
     no_dataset,
     no_fields_to_show,
     no_frames,
+    no_line,
     no_other_line,
     no_result,
     no_room_for_lines,
@@ -266,6 +268,14 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
         ),
         *with_precondition(
             no_room_for_lines, Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure")
+        ),
+        *with_precondition(
+            no_line,
+            Command("Add a corner to the profile line", None, lines.add_corner, ICON.VECTOR_SPLINE, group="Measure"),
+        ),
+        *with_precondition(
+            no_corner,
+            Command("Remove a corner of the profile line", None, lines.remove_corner, ICON.LINE, group="Measure"),
         ),
         *with_precondition(
             no_other_line,

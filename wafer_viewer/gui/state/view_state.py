@@ -305,11 +305,12 @@ class View:
 
     @property
     def clipped(self) -> Clip:
-        """Clipping of the drawn points; only a point cloud is clipped, and cut at the active profile line."""
+        """Clipping of the drawn points; only a point cloud is clipped, and cut at a straight active profile."""
         if self.look != "points" or self.step == "gauge":
             return Clip()
         line = self.active_line if self.step == "measure" and self.tool == "profile" else None
-        slab = Slab(line, self.before) if line is not None and self.before != "show" else None
+        straight = line is not None and line.kind == "line"
+        slab = Slab(line, self.before) if line is not None and straight and self.before != "show" else None
         return replace(self.clip, slab=slab)
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import viser
@@ -77,6 +78,21 @@ class LineCommands:
             lines = tuple(line for place, line in enumerate(view.lines) if place != view.line)
             self._page.change(lines=lines, line=min(view.line, len(lines) - 1), selected=None)
 
+    def add_corner(self) -> None:
+        """Add a corner in the middle of the longest leg of the active line."""
+        self._replace(section_lines.with_corner)
+
+    def remove_corner(self) -> None:
+        """Remove the corner at which the active line is the least bent."""
+        self._replace(section_lines.without_corner)
+
+    def _replace(self, changed: Callable[[Region], Region]) -> None:
+        view = self._page.view
+        line = view.active_line if view.tool == "profile" else None
+        if line is not None:
+            lines, place = _with(view, changed(line))
+            self._page.change(lines=lines, line=place, selected=None)
+
     def next(self) -> None:
         """Select the next line; the first follows the last."""
         view = self._page.view
@@ -148,8 +164,12 @@ def profile_inputs(here: Here[Any], curves: LiveProfiles) -> Stack:
     removed = Button("Remove line", lines.remove, icon.TRASH, disabled=alone)
     along_x = Button("Horizontal cut", lambda: lines.cut("row"), icon.ARROWS_HORIZONTAL)
     along_y = Button("Vertical cut", lambda: lines.cut("column"), icon.ARROWS_VERTICAL)
+    straight = line is None or line.kind == "line"
+    bent = Button("Add corner", lines.add_corner, icon.VECTOR_SPLINE, disabled=line is None)
+    unbent = Button("Remove corner", lines.remove_corner, icon.LINE, disabled=straight)
     inputs = [
         Buttons([added, removed], 30),
+        Buttons([bent, unbent], 30),
         Buttons([along_x, along_y], 30),
         *_numbers(here, lines),
         Number("Width, µm", width_um, lines.widen, WIDTH_HINT, step=0.5, decimals=2, least=0),

@@ -1,12 +1,14 @@
-"""Profile lines in the scene: up to four, each with its colour and letter, and handles at both ends."""
+"""Profile lines in the scene: up to four, each with its colour and letter, and handles at its ends and corners."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 from wafer_viewer.gui.scene.billboards import Billboard
@@ -17,7 +19,8 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.surface_landmarks import first_line
 from wafer_viewer.gui.widgets.callbacks import EchoFilter
 from wafer_viewer.model.measurement.sections import LETTERS
-from wafer_viewer.model.region import Region
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import replace
 
 _CURSOR = rgb("15202B")
 _CURSOR_PX = 6.0
@@ -29,30 +32,29 @@ LinesChanged = Callable[[tuple[Region, ...], int], None]
 
 
 class LineTool:
-    """One line draped over the surface, with handles at both ends and its letter next to the first."""
+    """One path draped over the surface, with handles at its points and its letter next to the first."""
 
     def __init__(self, scene: viser.SceneApi, place: int, line: Region, dragged: Dragged) -> None:
         colour = rgb(PROFILE_COLOURS[place][1:])
         self.line = line
         self._line = CasedLine(scene, f"profile/{place}", colour, 3.4)
-        self._knobs = [DragHandle(scene, f"profile/{place}/{end}", colour, 8.5, dragged) for end in (0, 1)]
+        points = range(len(line.points))
+        self._knobs = [DragHandle(scene, f"profile/{place}/{point}", colour, 8.5, dragged) for point in points]
         self._sign = Billboard(scene, f"profile/{place}/sign", LETTERS[place], colour, _SIGN_PX)
 
-    def drag(self, end: int, to: Place) -> None:
-        """Move one end."""
-        places = [(p.x_um, p.y_um) for p in self.line.points]
-        places[end] = to
-        self.line = Region.line(*places[0], *places[1], self.line.width_um)
+    def drag(self, point: int, to: Place) -> None:
+        """Move one point."""
+        moved = Point(x_um=to[0], y_um=to[1])
+        self.line = replace(self.line, points=(*self.line.points[:point], moved, *self.line.points[point + 1 :]))
 
     def draw(self, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the line on the displayed surface."""
         mm_per_pixel = view_axes.mm_per_pixel
-        first, last = ((p.x_um, p.y_um) for p in self.line.points)
-        points, measured = height_field.drape_line(first, last, 1.5 * mm_per_pixel)
+        points, measured, corners = draped(self.line, height_field, 1.5 * mm_per_pixel)
         self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
         up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
-        for knob, end in zip(self._knobs, (points[0], points[-1]), strict=True):
-            knob.place(end + up, mm_per_pixel, view_axes.towards)
+        for knob, corner in zip(self._knobs, corners, strict=True):
+            knob.place(points[corner] + up, mm_per_pixel, view_axes.towards)
         outwards = -1 if float((points[-1] - points[0]) @ view_axes.axes[:, 0]) >= 0 else 1
         self._sign.place(np.asarray(points[0] + up, float), height_field, view_axes, outwards * _OFFSET_PX)
 
@@ -60,6 +62,26 @@ class LineTool:
         """Remove the line from the scene."""
         for part in (self._line, *self._knobs, self._sign):
             part.remove()
+
+
+def draped(
+    line: Region, height_field: HeightField, lift_mm: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.intp]]:
+    """Return a path draped on the surface, the mask of its measured pieces, and the indices of its own points.
+
+    Points are spaced evenly, beside those of the path.
+    """
+    corners = np.array([(p.x_um, p.y_um) for p in line.points])
+    passed = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    share = passed / max(passed[-1], 1e-9)
+    evenly = np.unique(np.concatenate([np.linspace(0, 1, _DRAPED_POINTS), share]))
+    x_um, y_um = (np.interp(evenly, share, places) for places in corners.T)
+    ends_measured = height_field.measured(x_um, y_um)
+    measured = ends_measured[:-1] & ends_measured[1:]
+    return height_field.drape(x_um, y_um, lift_mm), measured, np.searchsorted(evenly, share)
+
+
+_DRAPED_POINTS = 480
 
 
 class Cursors:
@@ -72,8 +94,7 @@ class Cursors:
 
     def draw(self, line: Region, height_field: HeightField, view_axes: ViewAxes) -> None:
         """Draw the cursors on the displayed surface."""
-        first, last = ((p.x_um, p.y_um) for p in line.points)
-        points, _ = height_field.drape_line(first, last, 6.5 * view_axes.mm_per_pixel)
+        points, _, _ = draped(line, height_field, 6.5 * view_axes.mm_per_pixel)
         for number, share in enumerate(self.shares):
             if not 0 < share < 1:
                 self._take_away(number)
@@ -118,10 +139,10 @@ class LineTools:
         self._cursors.line, self._cursors.shares = view.line, view.plot.cursors
 
     def drag(self, name: str, to: Place) -> None:
-        """Move the end of the named handle, ``profile/LINE/END``."""
-        _, place, end = name.split("/")[:3]
+        """Move the point of the named handle, ``profile/LINE/POINT``."""
+        _, place, point = name.split("/")[:3]
         if int(place) < len(self._tools):
-            self._tools[int(place)].drag(int(end), to)
+            self._tools[int(place)].drag(int(point), to)
             self._report(int(place))
 
     def on_cursor(self, callback: CursorMoved) -> None:
@@ -167,9 +188,13 @@ class LineTools:
         self._echoes.forget()
 
     def _lay(self, lines: tuple[Region, ...]) -> None:
-        for tool in self._tools[len(lines) :]:
+        kept = itertools.takewhile(
+            lambda pair: len(pair[0].line.points) == len(pair[1].points), zip(self._tools, lines, strict=False)
+        )
+        n_kept = sum(1 for _ in kept)
+        for tool in self._tools[n_kept:]:
             tool.remove()
-        del self._tools[len(lines) :]
+        del self._tools[n_kept:]
         for tool, line in zip(self._tools, lines, strict=False):
             tool.line = line
         for place in range(len(self._tools), len(lines)):
@@ -180,9 +205,14 @@ class LineTools:
 
 
 def nearest_share(line: Region, to: Place) -> tuple[float, float]:
-    """Return the nearest point of a line, as a fraction 0 ... 1 of its length, and its distance in um."""
-    a, b = line.points
-    dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
-    along = ((to[0] - a.x_um) * dx + (to[1] - a.y_um) * dy) / max(dx * dx + dy * dy, 1e-12)
-    share = min(max(along, 0.0), 1.0)
-    return share, math.hypot(to[0] - a.x_um - share * dx, to[1] - a.y_um - share * dy)
+    """Return the nearest point of a path, as a fraction 0 ... 1 of its length, and its distance in um."""
+    passed, found = 0.0, list[tuple[float, float]]()
+    for a, b in itertools.pairwise(line.points):
+        dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
+        along = ((to[0] - a.x_um) * dx + (to[1] - a.y_um) * dy) / max(dx * dx + dy * dy, 1e-12)
+        share = min(max(along, 0.0), 1.0)
+        away = math.hypot(to[0] - a.x_um - share * dx, to[1] - a.y_um - share * dy)
+        found.append((away, passed + share * math.hypot(dx, dy)))
+        passed += math.hypot(dx, dy)
+    away, at_um = min(found)
+    return at_um / max(passed, 1e-9), away

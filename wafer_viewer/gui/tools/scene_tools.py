@@ -37,6 +37,8 @@ MOST_SIGNS = 60
 """Largest number of marked results, the newest ones, because overlapping labels are illegible."""
 _LINE_PX, _SIGN_PX, _RING_PX, _UP_PX = 1.8, 20, 6.0, 1.2
 _OFFSET_PX, _ABOVE_PX = 8, 16
+_PATH_POINTS = 480
+"""Points of a path draped on the surface, beside its own."""
 _ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 
 
@@ -95,13 +97,15 @@ def _result_mark(finding: AnyResult, view: View) -> _ResultMark:
 
 
 def _outline(region: Region, height_field: HeightField, mm_per_pixel: float) -> NDArray[np.float32]:
-    """Return the segments of an outline, [n, 2, 3]: a line is draped, a point gets a ring."""
+    """Return the segments of an outline, [n, 2, 3]: a path is draped, a point gets a ring."""
     lift = _UP_PX * mm_per_pixel
-    if region.kind == "line":
-        first, last = ((p.x_um, p.y_um) for p in region.points)
-        points, _ = height_field.drape_line(first, last, lift)
-        return np.stack([points[:-1], points[1:]], axis=1)
     corners = outline_of(region)
+    if region.is_path:
+        number = np.arange(len(corners))
+        along = np.unique(np.concatenate([number, np.linspace(0, number[-1], _PATH_POINTS)]))
+        x_um, y_um = (np.interp(along, number, places) for places in corners.T)
+        points = height_field.drape(x_um, y_um, lift)
+        return np.stack([points[:-1], points[1:]], axis=1)
     if len(corners) == 0:
         ring_um, centre = _RING_PX * 1e3 * mm_per_pixel, region.points[0]
         corners = np.stack([centre.x_um + ring_um * np.cos(_ROUND), centre.y_um + ring_um * np.sin(_ROUND)], axis=1)
@@ -110,7 +114,7 @@ def _outline(region: Region, height_field: HeightField, mm_per_pixel: float) -> 
 
 def _place(sign: Billboard, region: Region, height_field: HeightField, view_axes: ViewAxes) -> None:
     """Place a label at the upper left corner of a region on the screen, or at the end of a line."""
-    place = region if region.kind != "line" else Region.point(region.points[1].x_um, region.points[1].y_um)
+    place = Region.point(region.points[-1].x_um, region.points[-1].y_um) if region.is_path else region
     corner, up_px = (
         corner_on_screen(place, height_field, view_axes, -1, 1),
         _ABOVE_PX if region.kind == "point" else _OFFSET_PX,

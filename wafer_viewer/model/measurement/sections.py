@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -74,8 +75,11 @@ def nearest(outline: Outline, along: Along, x_um: float, y_um: float) -> int:
 
 
 def perpendicular_line(line: Region, outline: Outline) -> Region:
-    """Return the perpendicular bisector of a line with the same length and width, shortened to fit on the surface."""
-    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    """Return the perpendicular bisector of a line with the same length and width, shortened to fit on the surface.
+
+    A polyline counts as the line between its ends.
+    """
+    (xa, ya), (xb, yb) = _ends(line)
     x, y, dx, dy = (xa + xb) / 2, (ya + yb) / 2, (xb - xa) / 2, (yb - ya) / 2
     coordinator = *_room(x, -dy, outline.x0_um, _far_x_um(outline)), *_room(y, dx, _far_y_um(outline), outline.y0_um)
     u, v = (round(half * min((1.0, *coordinator)), 2) for half in (dx, dy))
@@ -84,16 +88,50 @@ def perpendicular_line(line: Region, outline: Outline) -> Region:
 
 def parallel_line(line: Region, outline: Outline) -> Region:
     """Return a parallel line, offset by a sixth of the line's length to a side that fits on the surface."""
-    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    (xa, ya), (xb, yb) = _ends(line)
     u, v = (xb - xa) / 6, (yb - ya) / 6
     lines = [Region.line(xa - k * v, ya + k * u, xb - k * v, yb + k * u, line.width_um) for k in (1, -1)]
     return next((candidate for candidate in lines if _holds(outline, candidate)), _clipped(outline, lines[0]))
 
 
 def middle(line: Region) -> tuple[float, float]:
-    """Return the midpoint of a line."""
-    a, b = line.points
-    return (a.x_um + b.x_um) / 2, (a.y_um + b.y_um) / 2
+    """Return the midpoint of a line, or of the ends of a polyline."""
+    (xa, ya), (xb, yb) = _ends(line)
+    return (xa + xb) / 2, (ya + yb) / 2
+
+
+def _ends(line: Region) -> tuple[tuple[float, float], tuple[float, float]]:
+    first, last = line.points[0], line.points[-1]
+    return (first.x_um, first.y_um), (last.x_um, last.y_um)
+
+
+def with_corner(line: Region) -> Region:
+    """Return a path with a corner more, in the middle of its longest leg."""
+    places = [(p.x_um, p.y_um) for p in line.points]
+    legs_um = list(itertools.starmap(math.dist, itertools.pairwise(places)))
+    longest = legs_um.index(max(legs_um))
+    (xa, ya), (xb, yb) = places[longest : longest + 2]
+    corner = (xa + xb) / 2, (ya + yb) / 2
+    return Region.polyline(*places[: longest + 1], corner, *places[longest + 1 :], width_um=line.width_um)
+
+
+def without_corner(line: Region) -> Region:
+    """Return a path without the corner at which it is the least bent; a straight line without its last corner.
+
+    A straight line is returned as it is.
+    """
+    places = [(p.x_um, p.y_um) for p in line.points]
+    if len(places) < 3:
+        return line
+    detours_um = [
+        math.dist(a, b) + math.dist(b, c) - math.dist(a, c)
+        for a, b, c in zip(places[:-2], places[1:-1], places[2:], strict=True)
+    ]
+    least = 1 + detours_um.index(min(detours_um))
+    kept = places[:least] + places[least + 1 :]
+    if len(kept) == 2:
+        return Region.line(*kept[0], *kept[1], line.width_um)
+    return Region.polyline(*kept, width_um=line.width_um)
 
 
 def cursor_difference(curve: ProfileCurve, shares: tuple[float, float]) -> Gap:
