@@ -5,6 +5,8 @@ from .measure.base.levelled_surface import levelled as levelled
 from .measure.defects.defect_builder import repeated_places as repeated_places
 from .measure.defects.inspection import golden_of_surface as golden_of_surface
 from .measure.defects.inspection import inspect as inspect
+from .measure.defects.lot_statistics import lot_statistics as lot_statistics
+from .measure.defects.lot_statistics import stacked_defects as stacked_defects
 from .measure.dies.die_lattice import find_dies as find_dies
 from .measure.dies.die_status import statuses as statuses
 from .measure.dies.given_lattice_fit import fitted_dies as fitted_dies
@@ -59,6 +61,8 @@ from .model.inspection.defect import verdict_of as verdict_of
 from .model.inspection.defect_classes import FabClass as FabClass
 from .model.inspection.die_grid import DieGrid as DieGrid
 from .model.inspection.klarf import KlarfExport as KlarfExport
+from .model.inspection.lot import LotStatistics as LotStatistics
+from .model.inspection.lot import WaferDefects as WaferDefects
 from .model.inspection.wafer_map import WaferMap as WaferMap
 from .model.job import Job as Job
 from .model.measurement.measurements import AreaVolume as AreaVolume
@@ -107,6 +111,7 @@ from .session.files.template import read_template as read_template
 from .session.files.template import template_of as template_of
 from .session.files.template import write_template as write_template
 from .session.gauge.repeat_scans import studies_of as studies_of
+from .session.inspection.lot_files import read_wafer_defects as read_wafer_defects
 from .session.reporting.conformance_report import verify_conformance as verify_conformance
 from .session.reporting.conformance_report import write_conformance as write_conformance
 from .session.session import Session as Session

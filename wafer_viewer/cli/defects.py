@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.arguments import Count, File, Place, Source, Text, Um
-from wafer_viewer.cli.output import print_json, progress, warn
+from wafer_viewer.cli.output import print_json, print_statistics, progress, to_program, warn
 from wafer_viewer.model.acquisition.sample import Notch
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import (
@@ -28,7 +29,7 @@ from wafer_viewer.model.inspection.defect import (
 )
 from wafer_viewer.model.inspection.klarf import KlarfExport
 from wafer_viewer.model.inspection.wafer_map import require_notch
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import Spec, encode, replace
 from wafer_viewer.session.inspection.inspection_files import WRITERS, Handover, compared, overlay_klarf
 from wafer_viewer.session.inspection.inspection_job import GivenDies, Wafer, dies_on, inspected, wafer_of
 from wafer_viewer.session.state.inspection_state import product_of
@@ -36,6 +37,7 @@ from wafer_viewer.session.surface.headless import LocalOrCluster
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie
+    from wafer_viewer.model.inspection.lot import StatisticsRow
 
 
 NOT_PASSED = 1
@@ -302,3 +304,71 @@ def measure_dies(
         "simulated": surface.provenance.simulated,
     }
     print_json(msgspec.to_builtins(facts))
+
+
+Inspected = Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE ...")]
+Output = Annotated[Path | None, arg(aliases=("-o",), metavar="FILE|FOLDER")]
+
+
+def lot(
+    files: Inspected,
+    out: Output = None,
+    csv: File = None,
+    json: bool = False,
+    tests: Annotated[tuple[Path, ...], arg(metavar="FILE ...")] = (),
+    max_per_die: Count = None,
+    result: str = "default",
+) -> int:
+    """Pareto charts, stack, yield, kill ratios and the control chart of defect density of inspected wafers.
+
+    Prints tables, or JSON into a pipe or a file. Status 1 where the density of a wafer is out of control.
+
+    Args:
+        files: Inspected wafers, NAME.wafer or KLARF, in the order of the control chart.
+        out: A report, FILE.html or FILE.pdf, or a folder for lot.html, lot.csv and lot.json.
+        csv: Write all numbers as a table.
+        json: Print JSON also on a terminal.
+        tests: Wafer maps with test results, E142 or SINF, found by their wafer ids; for yield and kill ratios.
+        max_per_die: Largest number of defects of a good die, without test results; that of each inspection by default.
+        result: Name of the reconstruction of datasets.
+    """
+    from wafer_viewer.measure.defects.lot_statistics import lot_statistics, stacked_defects
+    from wafer_viewer.session.inspection.lot_files import read_wafer_defects
+    from wafer_viewer.session.reporting.lot_report import write_lot_report
+    from wafer_viewer.store.tables.wafer_map_reader import read_wafer_map
+
+    wafers = [read_wafer_defects(path, result) for path in files]
+    found = lot_statistics(wafers, tests=[read_wafer_map(path) for path in tests], max_per_die=max_per_die)
+    stack = stacked_defects(wafers)
+    _write_statistics(found, found.rows, out, csv, "lot", lambda path: write_lot_report(found, stack, path))
+    if to_program(json):
+        print_json(msgspec.to_builtins(found))
+    else:
+        print_statistics(found.rows)
+    for note in (*found.notes, *stack.notes):
+        warn(note)
+    return NOT_PASSED if found.outside else 0
+
+
+def _write_statistics(
+    found: Spec,
+    rows: tuple[StatisticsRow, ...],
+    out: Path | None,
+    csv: Path | None,
+    name: str,
+    write_page: Callable[[Path], Path],
+) -> None:
+    """Write the requested files: a page, or all of them into a folder, and a table."""
+    from wafer_viewer.store.io.atomic_files import make_folder, write_text
+    from wafer_viewer.store.tables.csv_tables import statistics_csv
+
+    tables = [path for path in (csv,) if path is not None]
+    if out is not None and out.suffix:
+        write_page(out)
+    elif out is not None:
+        make_folder(out)
+        write_page(out / f"{name}.html")
+        write_text(out / f"{name}.json", encode(found, "json"))
+        tables.append(out / f"{name}.csv")
+    for path in tables:
+        write_text(path, statistics_csv(rows))

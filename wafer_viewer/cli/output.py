@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.procedure import FoundExposure
     from wafer_viewer.model.file_contents import FileContents
     from wafer_viewer.model.gauge import GaugeRR, ProcessCapability
+    from wafer_viewer.model.inspection.lot import StatisticsRow
     from wafer_viewer.model.job import Trial, WaferVerdict
     from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.model.roles import Action, AuditEntry
@@ -85,6 +87,18 @@ def print_study(name: str, found: GaugeRR) -> None:
         console.print(table)
     for note in found.notes:
         print(note)
+
+
+def print_statistics(rows: Iterable[StatisticsRow]) -> None:
+    """Print the rows of a lot, with a line before each table."""
+    from wafer_viewer.session.reporting.lot_report import HEADS, row_cells
+
+    console = Console(soft_wrap=True)
+    for name, group in groupby(rows, key=lambda row: row.table):
+        table = Table(*HEADS, box=None, pad_edge=False, title=name.capitalize(), title_justify="left")
+        for row in group:
+            table.add_row(*map(Text, row_cells(row)))
+        console.print(table)
 
 
 def print_plan(plan: ScanPlan) -> None:

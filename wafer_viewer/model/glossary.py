@@ -219,6 +219,16 @@ GLOSSARY: tuple[Term, ...] = (
     Term("nuisance", "Inspection", "A reported difference that a person judged to be no defect.", "SEMI M50"),
     Term("KLARF", "Inspection", "The text format in which yield systems exchange defects.", "KLARF 1.2, 1.8"),
     Term("bin", "Inspection", "What a wafer map says of a die: pass, fail, missing or not inspected.", "SEMI E142"),
+    Term(
+        "kill ratio",
+        "Inspection",
+        "Share of the dies that a class of defects makes fail, of those with it.",
+        "ASMC 1999",
+    ),
+    Term("stack", "Inspection", "The defects of several wafers on one wafer map."),
+    Term(
+        "control limit", "Inspection", "Bound that the density of a wafer exceeds by chance in 0.135 %.", "ISO 7870-2"
+    ),
     # ----------------------------------------------------------------------------------------------------- session
     Term("job", "Session", "A plan with features and limits that an engineer releases and an operator runs."),
     Term("feature", "Session", "A quantity of the job with its limits."),

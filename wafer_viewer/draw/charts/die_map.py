@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from markupsafe import Markup
@@ -104,8 +105,22 @@ def fills_by_number(inspection: Inspection, name: DieNumber) -> dict[str, DieFil
     }
 
 
+class DieLayout(Protocol):
+    """Dies of an inspection, or of several on one map."""
+
+    @property
+    def grid(self) -> DieGrid | None:
+        """Lattice of the dies."""
+        ...
+
+    @property
+    def dies(self) -> tuple[DieStatus, ...]:
+        """Status of each die."""
+        ...
+
+
 def die_frame(
-    inspection: Inspection, outline_um: Outline = (), *, width_px: int = 300, most_height_px: int = 300
+    inspection: DieLayout, outline_um: Outline = (), *, width_px: int = 300, most_height_px: int = 300
 ) -> MapViewport | None:
     """Return the viewport of the die map, None without dies; it contains the sample if the dies fill most of it."""
     grid, dies = inspection.grid, inspection.dies
@@ -123,7 +138,7 @@ def die_frame(
 
 def die_shapes(
     frame: MapViewport,
-    inspection: Inspection,
+    inspection: DieLayout,
     fills: Mapping[str, DieFill],
     *,
     outline_um: Outline = (),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
+from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
@@ -334,7 +336,7 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     counted = [defect for defect in inspection.found if defect.judgement != "nuisance"]
     area_mm2 = inspection.inspected_mm2
     per_mm2 = len(counted) / area_mm2 if area_mm2 else None
-    failing = _failing(counted, limits)
+    failing = _failing((defect.die for defect in counted), limits)
     lacking = tuple(die.name for die in inspection.dies if _lacks_area(die, inspection))
     lying = _lying_badly(inspection, limits)
     exceeded = (*_too_many(failing, limits), *_too_dense(per_mm2, limits), *(sentence for sentence, _ in lying))
@@ -403,8 +405,13 @@ def die_bins(inspection: Inspection, limits: DefectLimits | None = None) -> dict
     """
     limits = inspection.recipe.limits if limits is None else limits
     require_die_limit(limits)
-    failing = _failing([defect for defect in inspection.found if defect.judgement != "nuisance"], limits)
-    return {(die.col, die.row): _bin(die, failing) for die in inspection.dies}
+    return bins_of(inspection.dies, (d.die for d in inspection.found if d.judgement != "nuisance"), limits)
+
+
+def bins_of(dies: Iterable[DieStatus], on: Iterable[str], limits: DefectLimits) -> dict[tuple[int, int], DieBin]:
+    """Return (column, row) and bin of dies, as `die_bins`; on: name of the die of each counted defect."""
+    failing = _failing(on, limits)
+    return {(die.col, die.row): _bin(die, failing) for die in dies}
 
 
 def require_die_limit(limits: DefectLimits) -> None:
@@ -431,11 +438,10 @@ def _lacks_area(die: DieStatus, inspection: Inspection) -> bool:
     return beyond or not_compared or die.state in ("partly scanned", "not scanned")
 
 
-def _failing(counted: list[Defect], limits: DefectLimits) -> tuple[str, ...]:
-    if limits.max_per_die is None:
+def _failing(on: Iterable[str], limits: DefectLimits) -> tuple[str, ...]:
+    if (most := limits.max_per_die) is None:
         return ()
-    on = [defect.die for defect in counted if defect.die]
-    return tuple(name for name in dict.fromkeys(on) if on.count(name) > limits.max_per_die)
+    return tuple(name for name, n in Counter(filter(None, on)).items() if n > most)
 
 
 def _too_many(failing: tuple[str, ...], limits: DefectLimits) -> tuple[str, ...]:

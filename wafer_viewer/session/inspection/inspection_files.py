@@ -17,6 +17,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerErr
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.klarf import Klarf, KlarfExport, KlarfImage
+from wafer_viewer.model.inspection.lot import SAME_PITCH
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.commands import command, observer_command
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
 
 KlarfUnit = Literal["um", "nm", "mm"]
-SAME_PITCH = 5e-3
-"""Relative pitch difference above which dies are of different products."""
 
 
 def overlay_klarf(

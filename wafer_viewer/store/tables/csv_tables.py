@@ -17,6 +17,7 @@ from wafer_viewer.model.errors import MeasureError, detail, parser_errors_as
 from wafer_viewer.model.findings import AnyResult, MeasurementResults
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieStatus
+from wafer_viewer.model.inspection.lot import StatisticsRow
 from wafer_viewer.model.measurement.measurements import Bump, Chip
 from wafer_viewer.model.measurement.particles import Particle
 from wafer_viewer.model.measurement.result_rows import Row, rows
@@ -152,6 +153,20 @@ def dies_csv(inspection: Inspection) -> str:
     table.writerow(DIE_COLUMNS)
     simulated = "SIMULATED" if inspection.simulated else ""
     table.writerows([*_die_cells(die), simulated] for die in inspection.dies)
+    return text.getvalue()
+
+
+STATISTICS_COLUMNS = ("table", "item", "quantity", "value", "low", "high", "unit", "remark")
+
+
+def statistics_csv(rows: Iterable[StatisticsRow]) -> str:
+    """Return the table of a lot; low and high are confidence or control limits, empty where there are none."""
+    text = io.StringIO()
+    table = TableWriter(text)
+    table.writerow(STATISTICS_COLUMNS)
+    for row in rows:
+        numbers = ("" if number is None else f"{number:.8g}" for number in (row.value, row.low, row.high))
+        table.writerow([row.table, row.item, row.quantity, *numbers, row.unit, row.remark])
     return text.getvalue()
 
 
