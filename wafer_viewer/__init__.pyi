@@ -2,6 +2,7 @@
 
 from ._version import __version__ as __version__
 from .measure.base.levelled_surface import levelled as levelled
+from .measure.defects.adders import adders as adders
 from .measure.defects.defect_builder import repeated_places as repeated_places
 from .measure.defects.inspection import golden_of_surface as golden_of_surface
 from .measure.defects.inspection import inspect as inspect

@@ -89,3 +89,17 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(folder: Path):
     assert "none.klarf" in refused("lot", folder / "none.klarf")
     assert "is no dataset" in refused("lot", folder)
     assert "is no name of a report" in refused("lot", folder / "w1.klarf", "-o", folder / "x.txt")
+
+
+def test_adders_are_listed_and_limited(folder: Path):
+    found = json.loads(viewer("adders", folder / "w1.klarf", folder / "w4.klarf").stdout)
+    assert (len(found["common"]), found["added"], found["removed"]) == (2, list(range(3, 15)), [])
+    out = folder / "pair"
+    done = viewer("adders", folder / "w4.klarf", folder / "w1.klarf", "-o", out, "--max-added", "0")
+    assert done.returncode == 0
+    assert "different wafers" in done.stderr
+    rows = list(csv.DictReader((out / "adders.csv").read_text().splitlines()))
+    assert [row["item"] for row in rows if row["table"] == "removed"] == [str(k) for k in range(3, 15)]
+    assert "0 added, 12 removed, 2 common" in (out / "adders.html").read_text()
+    assert viewer("adders", folder / "w1.klarf", folder / "w4.klarf", "--max-added", "11").returncode == 1
+    assert "within_um is -1" in refused("adders", folder / "w1.klarf", folder / "w4.klarf", "--within-um", "-1")

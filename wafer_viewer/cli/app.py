@@ -63,6 +63,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "calibrate linearity": CommandEntry("calibration", "amplification and linearity of z from signed checks"),
     "calibrate list": CommandEntry("calibration", "the calibrations with U, date and due day"),
     "lot": CommandEntry("defects", "Pareto, stack, yield, kill ratio and control chart of inspected wafers"),
+    "adders": CommandEntry("defects", "defects added and removed between two inspections of a wafer"),
     "compare": CommandEntry("surface", "the second of two surfaces minus the first, aligned before"),
     "report": CommandEntry("surface", "write the report of a dataset as one HTML file that prints well"),
     "why": CommandEntry("surface", "why a pixel has its height, or none"),

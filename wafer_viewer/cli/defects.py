@@ -350,6 +350,50 @@ def lot(
     return NOT_PASSED if found.outside else 0
 
 
+Earlier = Annotated[Positional[Path], arg(metavar="EARLIER")]
+Later = Annotated[Positional[Path], arg(metavar="LATER")]
+
+
+def adders(
+    first: Earlier,
+    second: Later,
+    out: Output = None,
+    csv: File = None,
+    json: bool = False,
+    within_um: Um = None,
+    max_added: Count = None,
+    result: str = "default",
+) -> int:
+    """The defects that two inspections of a wafer have in common, and those added and removed between them.
+
+    Prints tables, or JSON into a pipe or a file. Status 1 where more defects were added than permitted.
+
+    Args:
+        first: The earlier inspection, NAME.wafer or KLARF.
+        second: The later inspection.
+        out: A report, FILE.html or FILE.pdf, or a folder for adders.html, adders.csv and adders.json.
+        csv: Write all numbers as a table.
+        json: Print JSON also on a terminal.
+        within_um: Largest distance of the same defect; by the uncertainty of both places by default.
+        max_added: Largest number of added defects.
+        result: Name of the reconstruction of datasets.
+    """
+    from wafer_viewer.measure.defects.adders import adders as compared_inspections
+    from wafer_viewer.session.inspection.lot_files import read_wafer_defects
+    from wafer_viewer.session.reporting.lot_report import write_adders_report
+
+    earlier, later = (read_wafer_defects(path, result) for path in (first, second))
+    found = compared_inspections(earlier, later, within_um=within_um)
+    _write_statistics(found, found.rows, out, csv, "adders", lambda path: write_adders_report(found, later, path))
+    if to_program(json):
+        print_json(msgspec.to_builtins(found))
+    else:
+        print_statistics(found.rows)
+    for note in found.notes:
+        warn(note)
+    return NOT_PASSED if max_added is not None and len(found.added) > max_added else 0
+
+
 def _write_statistics(
     found: Spec,
     rows: tuple[StatisticsRow, ...],

@@ -225,6 +225,7 @@ GLOSSARY: tuple[Term, ...] = (
         "Share of the dies that a class of defects makes fail, of those with it.",
         "ASMC 1999",
     ),
+    Term("adder", "Inspection", "A defect that an earlier inspection of the same wafer does not have."),
     Term("stack", "Inspection", "The defects of several wafers on one wafer map."),
     Term(
         "control limit", "Inspection", "Bound that the density of a wafer exceeds by chance in 0.135 %.", "ISO 7870-2"

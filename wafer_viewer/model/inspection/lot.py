@@ -322,3 +322,58 @@ class LotStatistics(Spec, frozen=True, kw_only=True):
 def _share_row(table: str, item: str, quantity: str, share: Proportion) -> StatisticsRow:
     limits: dict[str, Any] = {"value": share.value, "low": share.low, "high": share.high}
     return StatisticsRow(table=table, item=item, quantity=quantity, remark=f"{share.n} of {share.total} dies", **limits)
+
+
+# --------------------------------------------------------------------------------------------------------------- adders
+
+
+class CommonDefect(Spec, frozen=True, kw_only=True):
+    """A defect that both inspections found: its numbers in both, and the second place minus the first, um."""
+
+    first: int
+    second: int
+    dx_um: float
+    dy_um: float
+
+
+class WaferComparison(Spec, frozen=True, kw_only=True):
+    """Defects of two inspections of one wafer: common, added and removed ones, by their numbers.
+
+    removed, not_inspected_after: numbers of the first inspection; added, not_inspected_before: of the second. Defects
+    on dies that the other did not inspect are neither added nor removed. offset: median of the places of common
+    defects, second minus first, None without any. by_chance: largest expected number of common defects that are
+    coincidence. dies: correspondence of places.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    first: str
+    second: str
+    common: tuple[CommonDefect, ...] = ()
+    added: tuple[int, ...] = ()
+    removed: tuple[int, ...] = ()
+    not_inspected_before: tuple[int, ...] = ()
+    not_inspected_after: tuple[int, ...] = ()
+    offset_x_um: float | None = None
+    offset_y_um: float | None = None
+    by_chance: NonNegative | None = None
+    dies: str = ""
+    listed: tuple[StatisticsRow, ...] = ()
+    simulated: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> tuple[StatisticsRow, ...]:
+        """Numbers of defects, and each defect with its class and place."""
+        return (*self._counts(), *self.listed)
+
+    def _counts(self) -> Iterator[StatisticsRow]:
+        counted = {name: len(getattr(self, name)) for name in ("common", "added", "removed")}
+        counted["not inspected before"] = len(self.not_inspected_before)
+        counted["not inspected after"] = len(self.not_inspected_after)
+        for name, n in counted.items():
+            yield StatisticsRow(table="adders", item=name, quantity="defects", value=n)
+        yield StatisticsRow(table="adders", item="common by chance", quantity="expected defects", value=self.by_chance)
+        for axis, offset in (("x", self.offset_x_um), ("y", self.offset_y_um)):
+            yield StatisticsRow(
+                table="adders", item="common", quantity=f"median offset {axis}", value=offset, unit="um"
+            )

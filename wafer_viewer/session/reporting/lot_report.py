@@ -8,8 +8,9 @@ from pathlib import Path
 from wafer_viewer.draw.charts.defect_charts import pareto_svg
 from wafer_viewer.draw.charts.lot_charts import CLASS_NAMES, density_chart_svg, stack_map_svg
 from wafer_viewer.draw.number_format import plural
-from wafer_viewer.model.inspection.lot import PARETO_BY, LotStatistics, StatisticsRow, WaferDefects
+from wafer_viewer.model.inspection.lot import PARETO_BY, LotStatistics, StatisticsRow, WaferComparison, WaferDefects
 from wafer_viewer.model.report import Figure, Report, ReportSection, Table
+from wafer_viewer.model.spec import replace
 from wafer_viewer.store.records.conformance_reports import write_report
 
 HEADS = ("Item", "Quantity", "Value", "Limits", "Unit", "Remark")
@@ -43,6 +44,31 @@ def lot_page(statistics: LotStatistics, stack: WaferDefects) -> Report:
             _section("Kill ratio", "kill ratio", statistics.rows, empty="No kill ratio: there are no test results."),
             ReportSection("Stack", figures=tuple(_stack(stack)), empty="There are no dies to stack."),
             ReportSection("Notes", sentences=(*statistics.notes, *stack.notes), empty="None."),
+        ),
+    )
+
+
+def write_adders_report(found: WaferComparison, second: WaferDefects, path: Path) -> Path:
+    """Write the page of two inspections as HTML or PDF. Raises DatasetError for another ending, or if it fails."""
+    write_report(adders_page(found, second), path)
+    return path
+
+
+def adders_page(found: WaferComparison, second: WaferDefects) -> Report:
+    """Return the page: numbers, added defects on a map, and the lists."""
+    added = replace(second, defects=tuple(defect for defect in second.defects if defect.number in {*found.added}))
+    svg = stack_map_svg(added)
+    figures = iter((Figure("", "Added defects.", svg=svg),) if svg else ())
+    lists = dict.fromkeys(row.table for row in found.listed)
+    return Report(
+        title=f"Adders from {found.first} to {found.second}",
+        below=f"{len(found.added)} added, {len(found.removed)} removed, {len(found.common)} common",
+        simulated=found.simulated,
+        facts=(("Compared by", found.dies),),
+        sections=(
+            _section("Defects", "adders", found.rows, figures),
+            *(_section(name.capitalize(), name, found.listed) for name in lists),
+            ReportSection("Notes", sentences=found.notes, empty="None."),
         ),
     )
 
