@@ -8,6 +8,7 @@ from .measure.defects.inspection import golden_of_surface as golden_of_surface
 from .measure.defects.inspection import inspect as inspect
 from .measure.defects.lot_statistics import lot_statistics as lot_statistics
 from .measure.defects.lot_statistics import stacked_defects as stacked_defects
+from .measure.defects.signatures import signatures as signatures
 from .measure.dies.die_lattice import find_dies as find_dies
 from .measure.dies.die_status import statuses as statuses
 from .measure.dies.given_lattice_fit import fitted_dies as fitted_dies

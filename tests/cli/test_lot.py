@@ -6,6 +6,7 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.command_line import refused, viewer
@@ -62,6 +63,22 @@ def test_test_results_give_yield_and_kill_ratio(folder: Path):
     assert (kill["failing_without"]["n"], kill["failing_without"]["total"], kill["ratio"]) == (1, 5, 1.0)
     assert (lot["good"]["n"], lot["good"]["total"]) == (4, 6)
     assert "map of wafer w1" in refused("lot", folder / "w2.klarf", "--tests", test)
+
+
+def test_a_cluster_is_named_with_its_wafer(folder: Path):
+    rng = np.random.default_rng(1111)
+    places = zip(
+        rng.integers(0, 3, 40), rng.integers(0, 2, 40), rng.uniform(0, 950, 40), rng.uniform(0, 760, 40), strict=True
+    )
+    spread = [defect(k, f"{col},{row}", u, v) for k, (col, row, u, v) in enumerate(places, 1)]
+    close = [defect(k, "1,1", *rng.normal(400, 12, 2).tolist()) for k in range(41, 53)]
+    written_klarf(inspection(*spread, *close), folder / "w6.klarf", sample("w6"))
+    done = viewer("lot", folder / "w6.klarf", "-o", folder / "lot6")
+    (found,) = json.loads(done.stdout)["signatures"]
+    assert (found["wafer"], found["kind"], {*range(41, 53)} <= {*found["numbers"]}) == ("L7 w6", "cluster", True)
+    rows = list(csv.DictReader((folder / "lot6" / "lot.csv").read_text().splitlines()))
+    assert [row["quantity"] for row in rows if row["table"] == "signatures"] == ["cluster"]
+    assert "Signatures" in (folder / "lot6" / "lot.html").read_text()
 
 
 def test_page_table_and_json_have_the_same_numbers(folder: Path):

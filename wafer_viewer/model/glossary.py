@@ -226,6 +226,9 @@ GLOSSARY: tuple[Term, ...] = (
         "ASMC 1999",
     ),
     Term("adder", "Inspection", "A defect that an earlier inspection of the same wafer does not have."),
+    Term(
+        "signature", "Inspection", "Defects that lie together as chance does not explain: cluster, scratch, ring, edge."
+    ),
     Term("stack", "Inspection", "The defects of several wafers on one wafer map."),
     Term(
         "control limit", "Inspection", "Bound that the density of a wafer exceeds by chance in 0.135 %.", "ISO 7870-2"

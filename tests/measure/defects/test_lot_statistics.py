@@ -152,6 +152,7 @@ def test_a_wafer_out_of_control_is_named_and_its_limits_follow_from_its_area():
     assert "above the control limits" in " ".join(row.remark for row in lot.rows)
 
 
+@pytest.mark.slow
 def test_wafers_of_one_density_are_hardly_ever_out_of_control():
     rng = np.random.default_rng(1011)
     outside, n = 0, 0

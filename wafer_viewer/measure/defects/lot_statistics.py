@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from wafer_viewer.measure.defects.signatures import is_searchable, signatures
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, bins_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
@@ -20,6 +21,7 @@ from wafer_viewer.model.inspection.lot import (
     ParetoBar,
     ParetoBy,
     Proportion,
+    Signature,
     WaferDefect,
     WaferDefects,
     WaferDensity,
@@ -42,7 +44,7 @@ BY_TEST = "the test results of the wafer maps"
 def lot_statistics(
     wafers: Sequence[WaferDefects], *, tests: Sequence[WaferMap] = (), max_per_die: int | None = None
 ) -> LotStatistics:
-    """Compute Pareto charts, control chart, yield and kill ratios of the inspections of several wafers.
+    """Compute Pareto charts, control chart, yield, kill ratios and signatures of several inspected wafers.
 
     Parameters
     ----------
@@ -76,7 +78,8 @@ def lot_statistics(
     inspected completely do not count. Confidence limits are those of Clopper and Pearson [1]_. The kill ratio of a
     class is 1 - Y1 / Y0, with the yields of tested dies with and without such a defect [2]_; its limits are those of
     the score method for a ratio [3]_. Other classes kill on both sides. It needs test results: dies that fail by the
-    number of their defects would confirm themselves.
+    number of their defects would confirm themselves. Signatures are those of `signatures`, of each wafer and of the
+    stack.
 
     References
     ----------
@@ -104,6 +107,7 @@ def lot_statistics(
         good=proportion(sum(map(_n_good, known)), sum(len(one.good) for one in known)) if known else None,
         good_by="; ".join(dict.fromkeys(one.by for one in known)),
         kill_ratios=tuple(_kill_ratios(tested)),
+        signatures=tuple(_signatures(limited)),
         simulated=any(wafer.simulated for wafer in wafers),
         notes=tuple(dict.fromkeys(_notes(limited, bool(tested), len(known)))),
     )
@@ -137,10 +141,20 @@ def _notes(wafers: Sequence[WaferDefects], tested: bool, n_yields: int) -> Itera
         yield f"The inspected area is not known, so there is no density: {'; '.join(no_area)}."
     if n_yields < len(wafers):
         yield "Without dies, test results or a largest number of defects per die a wafer has no yield (--max-per-die)."
+    if unknown := [wafer.title for wafer in wafers if not is_searchable(wafer)]:
+        yield f"Signatures were not searched for without completely inspected dies: {'; '.join(unknown)}."
     if not tested:
         yield "A kill ratio needs test results of the dies: wafer maps as E142 or SINF (--tests)."
     for wafer in wafers:
         yield from wafer.notes
+
+
+def _signatures(wafers: Sequence[WaferDefects]) -> Iterator[Signature]:
+    """Yield the signatures of each wafer, then those of all on one that has more than one."""
+    searched = [wafer for wafer in wafers if is_searchable(wafer)]
+    stack = [stacked_defects(searched)] if len(searched) > 1 else []
+    for wafer in (*searched, *filter(is_searchable, stack)):
+        yield from (replace(one, wafer=wafer.title) for one in signatures(wafer))
 
 
 # ----------------------------------------------------------------------------------------------------------- pareto

@@ -243,12 +243,35 @@ class KillRatio(Spec, frozen=True, kw_only=True):
     loss: float | None = None
 
 
+SignatureKind = Literal["cluster", "scratch", "ring", "edge", "center"]
+
+
+class Signature(Spec, frozen=True, kw_only=True):
+    """Defects of a wafer that lie together as they do not by chance.
+
+    numbers: of the defects; center: of a group, or of the wafer for a ring; length_um, width_um, angle_deg: extent of a
+    group along its longest axis and across, or outer diameter and width of a ring; expected: number of defects in the
+    ring if they lie at random; by_chance: probability of a signature as clear anywhere on the wafer; wafer: its title.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    kind: SignatureKind
+    numbers: tuple[int, ...]
+    center: Point
+    length_um: NonNegative
+    width_um: NonNegative
+    angle_deg: float = 0.0
+    expected: NonNegative | None = None
+    by_chance: Fraction
+    wafer: str = ""
+
+
 class LotStatistics(Spec, frozen=True, kw_only=True):
     """Statistics of the inspections of several wafers.
 
     per_mm2: mean density, from which the control limits follow; dispersion: variance of the numbers of defects over
     that of Poisson, with the probability that chance makes it as large; good: good dies of all wafers; good_by: the
-    source of what is good; kill_ratios: empty without test results.
+    source of what is good; kill_ratios: empty without test results; signatures: of each wafer, and of all on one.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -260,6 +283,7 @@ class LotStatistics(Spec, frozen=True, kw_only=True):
     good: Proportion | None = None
     good_by: str = ""
     kill_ratios: tuple[KillRatio, ...] = ()
+    signatures: tuple[Signature, ...] = ()
     simulated: bool = False
     notes: tuple[str, ...] = ()
 
@@ -275,7 +299,22 @@ class LotStatistics(Spec, frozen=True, kw_only=True):
     @property
     def rows(self) -> tuple[StatisticsRow, ...]:
         """All numbers, as lines of one table."""
-        return (*self._density_rows(), *self._yield_rows(), *self._pareto_rows(), *self._kill_rows())
+        return (
+            *self._density_rows(),
+            *self._yield_rows(),
+            *self._pareto_rows(),
+            *self._kill_rows(),
+            *self._signature_rows(),
+        )
+
+    def _signature_rows(self) -> Iterator[StatisticsRow]:
+        for one in self.signatures:
+            extent = f"{one.length_um:.4g} x {one.width_um:.4g} um at x {one.center.x_um:.1f}, y {one.center.y_um:.1f}"
+            expected = "" if one.expected is None else f", {one.expected:.3g} expected"
+            remark = f"by chance {one.by_chance:.2g}; {extent}{expected}"
+            yield StatisticsRow(
+                table="signatures", item=one.wafer, quantity=one.kind, value=len(one.numbers), remark=remark
+            )
 
     def _density_rows(self) -> Iterator[StatisticsRow]:
         for wafer in self.wafers:

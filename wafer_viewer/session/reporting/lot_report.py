@@ -42,6 +42,7 @@ def lot_page(statistics: LotStatistics, stack: WaferDefects) -> Report:
                 for k, by in enumerate(PARETO_BY)
             ),
             _section("Kill ratio", "kill ratio", statistics.rows, empty="No kill ratio: there are no test results."),
+            _section("Signatures", "signatures", statistics.rows, empty="No signature that chance does not explain."),
             ReportSection("Stack", figures=tuple(_stack(stack)), empty="There are no dies to stack."),
             ReportSection("Notes", sentences=(*statistics.notes, *stack.notes), empty="None."),
         ),
