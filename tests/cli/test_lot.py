@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.command_line import refused, viewer
 from tests.support.datasets.inspections import defect, inspection, written_klarf
+from tests.support.datasets.judged_datasets import judged_dataset, released_job
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.records.inspection_records import write_inspection
@@ -51,6 +52,18 @@ def test_own_files_and_klarf_make_one_lot_with_the_wafer_out_of_control_named(fo
     assert "--tests" in done.stderr
     within = viewer("lot", *files(folder)[:3])
     assert (within.returncode, json.loads(within.stdout)["good"]) == (0, None)
+
+
+def test_datasets_bring_their_wafer_and_the_judgements_of_people(folder: Path):
+    judged = inspection(defect(1, "0,0", 100, 300), defect(2, "0,0", 500, 300, judgement="nuisance"))
+    path = judged_dataset(folder / "w8.wafer", 5.0, released_job(), wafer="W8")
+    assert "was not inspected" in refused("lot", path)
+    write_inspection(path / "results" / "default", judged)
+    lot = json.loads(viewer("lot", path, folder / "w1.klarf", "--max-per-die", "1").stdout)
+    assert [(wafer["title"], wafer["defects"]) for wafer in lot["wafers"]] == [("L7 W8", 1), ("L7 w1", 2)]
+    stored = json.loads(viewer("lot", path / "results" / "default" / "defects.json").stdout)
+    assert stored["wafers"][0]["title"] == "L7 W8"
+    assert "NOWHERE" in refused("lot", folder / "NOWHERE.wafer")
 
 
 def test_test_results_give_yield_and_kill_ratio(folder: Path):

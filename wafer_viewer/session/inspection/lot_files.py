@@ -35,7 +35,8 @@ def read_wafer_defects(path: str | Path, result: str = "default") -> WaferDefect
 
     place = Path(path)
     if place.name == DEFECTS and place.exists():
-        return _of_result(place.absolute().parent, place.absolute().parents[2])
+        folder = place.absolute().parent
+        return _of_result(folder, folder.parent.parent)
     if is_dataset(place):
         return _of_result(Dataset.open(place).result(result).path, place)
     if place.is_dir():
