@@ -130,6 +130,7 @@ def test_adders_are_listed_and_limited(folder: Path):
     assert "different wafers" in done.stderr
     rows = list(csv.DictReader((out / "adders.csv").read_text().splitlines()))
     assert [row["item"] for row in rows if row["table"] == "removed"] == [str(k) for k in range(3, 15)]
+    assert "Adders from w4.klarf to w1.klarf" in (out / "adders.html").read_text()
     assert "0 added, 12 removed, 2 common" in (out / "adders.html").read_text()
     assert viewer("adders", folder / "w1.klarf", folder / "w4.klarf", "--max-added", "11").returncode == 1
     assert "within_um is -1" in refused("adders", folder / "w1.klarf", folder / "w4.klarf", "--within-um", "-1")

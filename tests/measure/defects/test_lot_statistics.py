@@ -185,3 +185,23 @@ def test_what_does_not_belong_together_is_refused():
         lot_statistics([other], tests=[test])
     with pytest.raises(MeasureError, match="without a wafer id"):
         lot_statistics([one], tests=[replace(test, wafer="")])
+
+
+def test_a_wafer_that_was_inspected_twice_is_told_apart_by_its_files():
+    once = wafer(inspection(defect(1, "0,0", 100, 100)))
+    lot = lot_statistics([once, replace(once, name="again")])
+    assert [line.title for line in lot.wafers] == ["L1 w1 (w1)", "L1 w1 (again)"]
+    assert any("more than once" in note for note in lot.notes)
+
+
+def test_wafers_without_defects_dies_or_area_have_empty_tables():
+    clean = lot_statistics([wafer(inspection()), wafer(inspection(), "w2")], max_per_die=0)
+    assert (clean.pareto, clean.outside, clean.per_mm2, clean.dispersion) == ((), (), 0.0, None)
+    assert clean.good is not None
+    assert (clean.good.n, clean.good.total) == (12, 12)
+    bare = WaferDefects(name="bare", defects=(WaferDefect(number=1, kind="Pit", x_um=3.0, y_um=4.0),))
+    lot = lot_statistics([bare])
+    assert (lot.per_mm2, lot.good, lot.signatures) == (None, None, ())
+    assert lot.bars("die")[0].name == "off the dies"
+    mixed = stacked_defects([bare, wafer(inspection(defect(1, "0,0", 100, 100)))])
+    assert (len(mixed.defects), mixed.notes) == (1, ("Without dies, so not in the stack: bare.",))

@@ -188,8 +188,8 @@ def _comparison(
         for (i, j), (dx, dy) in zip(pairs, away, strict=True)
     )
     return WaferComparison(
-        first=first.title,
-        second=second.title,
+        first=first.name,
+        second=second.name,
         common=common,
         added=_numbers(added),
         removed=_numbers(removed),

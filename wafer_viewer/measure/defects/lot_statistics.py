@@ -260,12 +260,15 @@ def _density(
     known = [wafer for wafer in wafers if wafer.inspected_mm2]
     area_mm2 = sum(wafer.inspected_mm2 for wafer in known)
     per_mm2 = sum(len(wafer.defects) for wafer in known) / area_mm2 if area_mm2 else None
-    return per_mm2, tuple(_of_wafer(wafer, per_mm2, share) for wafer, share in zip(wafers, good, strict=True))
+    times = Counter(wafer.title for wafer in wafers)
+    titles = [one.title if times[one.title] == 1 else f"{one.title} ({one.name})" for one in wafers]
+    each = zip(wafers, titles, good, strict=True)
+    return per_mm2, tuple(_of_wafer(wafer, title, per_mm2, share) for wafer, title, share in each)
 
 
-def _of_wafer(wafer: WaferDefects, per_mm2: float | None, good: Proportion | None) -> WaferDensity:
+def _of_wafer(wafer: WaferDefects, title: str, per_mm2: float | None, good: Proportion | None) -> WaferDensity:
     n, area_mm2 = len(wafer.defects), wafer.inspected_mm2
-    line = WaferDensity(name=wafer.name, title=wafer.title, defects=n, inspected_mm2=area_mm2, good=good)
+    line = WaferDensity(name=wafer.name, title=title, defects=n, inspected_mm2=area_mm2, good=good)
     if per_mm2 is None or not area_mm2:
         return line
     from scipy.stats import poisson

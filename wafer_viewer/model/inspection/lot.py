@@ -378,10 +378,10 @@ class CommonDefect(Spec, frozen=True, kw_only=True):
 class WaferComparison(Spec, frozen=True, kw_only=True):
     """Defects of two inspections of one wafer: common, added and removed ones, by their numbers.
 
-    removed, not_inspected_after: numbers of the first inspection; added, not_inspected_before: of the second. Defects
-    on dies that the other did not inspect are neither added nor removed. offset: median of the places of common
-    defects, second minus first, None without any. by_chance: largest expected number of common defects that are
-    coincidence. dies: correspondence of places.
+    first, second: names of the files. removed, not_inspected_after: numbers of the first inspection; added,
+    not_inspected_before: of the second. Defects on dies that the other did not inspect are neither added nor removed.
+    offset: median of the places of common defects, second minus first, None without any. by_chance: largest expected
+    number of common defects that are coincidence. dies: correspondence of places.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
