@@ -8,6 +8,7 @@ import pytest
 from wafer_viewer.acquire.pulse_reconciliation import reference_axes
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.rigs.virtual import rig as virtual_rig
 from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT, VirtualRig, virtual_limits
 
 ON_COMMAND = PulseTrain(axis="z", first_count=0, counts_per_frame=100, n_frames=100, direction=1)
@@ -68,6 +69,29 @@ def test_its_overview_shows_the_sample_where_it_lies():
     assert len(seen.dies_um) > 50
     assert seen.image[rows // 2].std() > 5
     assert "wafer" in seen.title
+
+
+def test_overview_is_drawn_once_for_a_state_of_the_sources(monkeypatch, tmp_path):
+    drawn = []
+
+    def draw(sample, width_px):
+        drawn.append(sample.name)
+        return np.full((width_px, width_px), len(drawn), np.uint8)
+
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path))
+    monkeypatch.setattr(virtual_rig, "overview", draw)
+    first, second, other = (virtual_rig.scene_overview(name).image for name in ("stair", "stair", "cone"))
+    np.testing.assert_array_equal(first, second)
+    assert (drawn, other[0, 0]) == (["stair", "cone"], 2)
+    (stored,) = tmp_path.rglob("*stair*")
+    stored.write_bytes(stored.read_bytes()[:100])
+    assert virtual_rig.scene_overview("stair").image[0, 0] == 3
+    monkeypatch.setattr(virtual_rig, "kernel_state", lambda: "of an edited scene")
+    assert virtual_rig.scene_overview("stair").image[0, 0] == 4
+    assert virtual_rig.scene_overview("stair").image[0, 0] == 4
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path / "file"))
+    assert virtual_rig.scene_overview("stair").image[0, 0] == 5
 
 
 def test_a_closed_rig_is_at_rest(stair):

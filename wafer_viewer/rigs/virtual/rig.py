@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Literal
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +20,20 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import replace
+from wafer_viewer.numerics.kernel_cache import cache_folder, is_writable, kernel_state
 from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
-from wafer_viewer.rigs.virtual.camera import LEVEL, TRIGGER_DELAY_US, Renderer, VirtualCamera
+from wafer_viewer.rigs.virtual.camera import (
+    LEVEL,
+    TRIGGER_DELAY_US,
+    FrameRenderer,
+    Renderer,
+    Sensor,
+    VirtualCamera,
+    overview,
+)
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import CalibrationErrors, Faults
+from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.positioners import (
     OWN,
     SimulatedPositioner,
@@ -30,6 +42,7 @@ from wafer_viewer.rigs.virtual.positioners import (
     VirtualPositioners,
 )
 from wafer_viewer.rigs.virtual.pulse_box_firmware import VirtualPulseBox
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Scene, scene
 from wafer_viewer.rigs.virtual.serial_port import VirtualPort
 from wafer_viewer.rigs.virtual.stage import VirtualStage
 
@@ -218,8 +231,6 @@ class VirtualRig:
 
         Any other sample, and None, selects the scene of the rig's configuration. Return True if the scene changed.
         """
-        from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
-
         virtual = sample is not None and sample.mount == VIRTUAL_MOUNT and sample.product in SCENES
         wanted = sample.product if sample is not None and virtual else self._own_scene
         if wanted == self._scene:
@@ -272,8 +283,6 @@ class VirtualRig:
 
     def truth_for_tests(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
         """Return true heights in um at points of any shape. Only tests may use it."""
-        from wafer_viewer.rigs.virtual.scenes.catalogue import scene
-
         flat, (along_x, along_y) = scene(self._scene).truth(x_um, y_um), self._positioners.slopes()
         if (along_x, along_y) == LEVEL:
             return flat
@@ -329,10 +338,6 @@ def scene_renderer(
     slopes: Callable[[], Slopes] = lambda: LEVEL,
 ) -> Renderer:
     """Return the renderer of a scene for the camera and objective of a rig, with the hidden errors of its pixels."""
-    from wafer_viewer.rigs.virtual.camera import FrameRenderer, Sensor
-    from wafer_viewer.rigs.virtual.optics.optics import Optics
-    from wafer_viewer.rigs.virtual.scenes.catalogue import scene
-
     objective, camera = limits.objective, limits.camera
     pixel_um = limits.pixel_um * (1 + errors.pixel_fraction)
     optics = Optics(na=objective.numerical_aperture, wavelength_um=objective.wavelength_um, pixel_um=pixel_um)
@@ -355,14 +360,11 @@ def scene_renderer(
 
 def scene_overview(name: str) -> Overview:
     """Return the overview image and the layout of a scene's sample."""
-    from wafer_viewer.rigs.virtual.camera import overview
-    from wafer_viewer.rigs.virtual.scenes.catalogue import scene
-
     sample = scene(name)
     pixel_um = sample.width_um / OVERVIEW_PX
     dies = [sample.dies.rectangle_um(*cell) for cell in sample.dies.cells] if sample.dies else []
     return Overview(
-        image=overview(sample, OVERVIEW_PX),
+        image=_overview_image(sample),
         pixel_um=pixel_um,
         x0_um=(pixel_um - sample.width_um) / 2,
         y0_um=(sample.height_um - pixel_um) / 2,
@@ -370,6 +372,22 @@ def scene_overview(name: str) -> Overview:
         dies_um=tuple(corners(*die) for die in dies),
         title=sample.title,
     )
+
+
+def _overview_image(sample: Scene) -> NDArray[np.uint8]:
+    """Return the overview image of a sample, which is drawn once for a state of the sources."""
+    state, path = kernel_state(), cache_folder() / f"overview-{sample.name}.npz"
+    with suppress(OSError, EOFError, KeyError, ValueError, BadZipFile), path.open("rb") as file:
+        stored = np.load(file)
+        if stored["state"] == state:
+            return stored["image"]
+    image = overview(sample, OVERVIEW_PX)
+    if is_writable(path.parent):
+        part = path.with_name(f"{path.stem}.{os.getpid()}.npz")
+        with suppress(OSError):
+            np.savez(part, state=state, image=image)
+            part.replace(path)
+    return image
 
 
 def corners(left: float, lower: float, right: float, upper: float) -> tuple[tuple[float, float], ...]:
