@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy import special  # scipy.stats is slow to load, and every session loads this module
 
 from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.measurement_context import contribution
@@ -425,7 +425,7 @@ class _MeanSquare:
 
     def off(self, quantile: float) -> float:
         """Return how far its part may be off, as chi-squared is at a quantile."""
-        return self.part * (1 - self.freedom / float(stats.chi2.ppf(quantile, self.freedom)))
+        return self.part * (1 - self.freedom / float(2 * special.gammaincinv(self.freedom / 2, quantile)))
 
 
 class _Test(NamedTuple):
@@ -455,7 +455,7 @@ def _tested(effect: _Squares, base: _Squares | _MeanSquare) -> _Test:
     if base.squares == 0:
         return _Test(p=0.0)
     f = (effect.squares / effect.freedom) / (base.squares / base.freedom)
-    return _Test(f, float(stats.f.sf(f, effect.freedom, base.freedom)))
+    return _Test(f, float(special.fdtrc(effect.freedom, base.freedom, f)))
 
 
 def _limits(squares: Sequence[_MeanSquare]) -> Interval:

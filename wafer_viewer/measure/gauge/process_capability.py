@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy import special
 
 from wafer_viewer.measure.gauge.gauge_studies import CONFIDENCE
 from wafer_viewer.model.errors import MeasureError
@@ -58,9 +58,9 @@ def process_capability(
     cp = (high - low) / (6 * s) if lower is not None and upper is not None else None
     cpk = min(high - mean, mean - low) / (3 * s)
     tail = (1 - CONFIDENCE) / 2
-    quantiles = [math.sqrt(float(stats.chi2.ppf(q, n - 1)) / (n - 1)) for q in (tail, 1 - tail)]
-    off = float(stats.norm.ppf(1 - tail)) * math.sqrt(1 / (9 * n) + cpk**2 / (2 * (n - 1)))
-    expected = stats.norm.sf((high - mean) / s) + stats.norm.cdf((low - mean) / s)
+    quantiles = [math.sqrt(2 * float(special.gammaincinv((n - 1) / 2, q)) / (n - 1)) for q in (tail, 1 - tail)]
+    off = float(special.ndtri(1 - tail)) * math.sqrt(1 / (9 * n) + cpk**2 / (2 * (n - 1)))
+    expected = special.ndtr((mean - high) / s) + special.ndtr((low - mean) / s)
     return ProcessCapability(
         n=n,
         mean=mean,
