@@ -10,6 +10,7 @@ import socket
 import ssl
 import subprocess
 import sys
+import time
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -170,6 +171,7 @@ def joined(machines, monkeypatch):
 def wait_for_surfaces(folder, count, process):
     while len(list((folder / "results" / "default" / "surfaces").glob("r*.npz"))) < count:
         assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
 
 
 def same_everywhere(one, other):
