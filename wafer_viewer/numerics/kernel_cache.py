@@ -31,12 +31,22 @@ def cache_folder() -> Path:
     """Return the folder of compiled kernels, under ``WAFER_VIEWER_CACHE`` or ``~/.cache/wafer-viewer``."""
     home = os.environ.get("WAFER_VIEWER_CACHE")
     base = Path(home) if home else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wafer-viewer"
-    return base / "kernels" / f"numba-{version('numba')}"
+    return base / "kernels" / f"numba-{_version_of_numba()}"
+
+
+@functools.cache
+def _version_of_numba() -> str:
+    return version("numba")
+
+
+@functools.cache
+def _state_of(file: Path) -> str:
+    return fingerprint(sources_of(file))
 
 
 def module_folder(module: str, file: Path) -> Path:
     """Return the folder of the kernels of a module, which is in a file."""
-    return cache_folder() / f"{module}-{fingerprint(sources_of(file))}"
+    return cache_folder() / f"{module}-{_state_of(file)}"
 
 
 @functools.cache
