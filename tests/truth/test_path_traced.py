@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 
-pytest.importorskip("mitsuba")
-
 from tests.truth.path_traced import FINE, MARGIN_PX, PIXEL_UM, Solid, drawn_solid, light_of
 
+pytestmark = pytest.mark.skipif(find_spec("mitsuba") is None, reason="Mitsuba is not installed")
 SIDE = 48
 
 

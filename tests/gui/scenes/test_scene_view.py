@@ -11,7 +11,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -519,6 +518,8 @@ def test_origins_are_drawn_in_little_light_for_their_colours_are_looked_up():
 @pytest.mark.slow
 @pytest.mark.parametrize("plinth", [True, False])
 def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
+    import trimesh
+
     stage = RecordingScene()
     for item in block_items((0.0, 0.0, 2.0, 1.0), False, plinth=plinth):
         item.make(stage, item.name, b"" if item.bake is None else item.bake())
@@ -530,6 +531,8 @@ def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
 
 
 def test_the_hatch_lies_under_points_only_where_nothing_was_measured():
+    import trimesh
+
     measured = np.ones((10, 20), np.bool_)
     measured[:3, 15:] = False
     heights = CoarseHeightField(10, 20, 100.0, 50.0, 950.0, np.zeros((10, 20), "<f4").tobytes(), measured.tobytes())

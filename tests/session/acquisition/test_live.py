@@ -6,7 +6,6 @@ import threading
 import time
 from multiprocessing import Pipe
 
-import ome_types
 import pytest
 
 from tests.support.patience import PATIENCE_S
@@ -250,6 +249,8 @@ def test_a_session_shows_live_frames_and_none_while_it_scans(session):
 
 @pytest.mark.slow
 def test_the_live_picture_is_kept_with_its_place_and_never_overwritten(session):
+    import ome_types
+
     session.wait_until(lambda now: now.rig.state == "ready", PATIENCE_S)
     session.live.set_exposure(80.0).result(PATIENCE_S)
     watch_until(session, lambda: session.live.look().frame is not None and session.live.look().frame.exposure_us == 80)

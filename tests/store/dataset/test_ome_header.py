@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import ome_types
 import pytest
 import tifffile
 from hypothesis import given
@@ -54,6 +53,8 @@ def frame_of(shot, plan):
 
 
 def ome_of(path):
+    import ome_types
+
     return ome_types.from_xml(tifffile.tiffcomment(path), validate=True)
 
 

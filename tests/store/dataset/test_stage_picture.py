@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import ome_types
 import pytest
 import tifffile
 
@@ -30,6 +29,8 @@ PICTURE = StagePicture(
 
 
 def test_other_programs_read_pixels_place_exposure_and_time(tmp_path):
+    import ome_types
+
     path = write_stage_picture(tmp_path, PICTURE)
     np.testing.assert_array_equal(tifffile.imread(path), IMAGE)
     with tifffile.TiffFile(path) as file:
@@ -46,6 +47,8 @@ def test_other_programs_read_pixels_place_exposure_and_time(tmp_path):
 
 
 def test_every_picture_has_a_file_of_its_own(tmp_path):
+    import ome_types
+
     eight_bit = replace(PICTURE, image=IMAGE.astype(np.uint8), pixel_um=None, bits=8)
     paths = [write_stage_picture(tmp_path, picture) for picture in (PICTURE, eight_bit, PICTURE)]
     assert [path.name for path in paths] == [f"live-picture-{n}.ome.tif" for n in (1, 2, 3)]

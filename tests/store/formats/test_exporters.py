@@ -9,7 +9,6 @@ import zlib
 import numpy as np
 import pytest
 import tifffile
-import trimesh
 
 from tests.support.datasets.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
@@ -127,6 +126,8 @@ def stage_points(surface):
 
 
 def test_ply_opens_elsewhere_with_its_colours(tmp_path):
+    import trimesh
+
     surface = make_surface()
     export(surface, tmp_path / "a.ply")
     cloud = trimesh.load(tmp_path / "a.ply")
@@ -146,6 +147,8 @@ def test_csv_is_a_table_of_stage_points(tmp_path):
 
 
 def test_stl_is_a_mesh_that_faces_up_and_leaves_holes(tmp_path):
+    import trimesh
+
     surface = make_surface(rows=20, cols=40, x0_um=0.0, y0_um=0.0)
     flat = dataclasses.replace(surface, z_um=np.where(np.isfinite(surface.z_um), np.float32(7), surface.z_um))
     export(flat, tmp_path / "a.stl")

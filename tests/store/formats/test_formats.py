@@ -12,7 +12,6 @@ import zipfile
 import numpy as np
 import pytest
 import tifffile
-import trimesh
 
 from tests.bench.big_mosaic import MadeWafer
 from tests.support.datasets.samples import CALIBRATION, assert_same_surface, make_surface
@@ -257,6 +256,8 @@ def test_a_reading_can_be_stopped(tmp_path):
 
 @pytest.mark.parametrize("ending", MESHES)
 def test_a_mesh_has_the_orientation_of_the_surface(tmp_path, ending):
+    import trimesh
+
     surface = letter_f(pixel_um=0.5, x0_um=1000.25, y0_um=2000.75)
     export(surface, tmp_path / f"a{ending}", every=2)
     mesh = trimesh.load(tmp_path / f"a{ending}", force="mesh", process=False)
@@ -276,6 +277,8 @@ def test_a_mesh_has_the_orientation_of_the_surface(tmp_path, ending):
 @pytest.mark.parametrize("ending", MESHES)
 def test_a_mesh_has_no_seam_where_its_pieces_meet(tmp_path, ending):
     """Two triangles between every four neighbours, each vertex with its own grey, over several strips."""
+    import trimesh
+
     rng = np.random.default_rng(3)
     z = rng.uniform(1, 2, (300, 9)).astype(np.float32)
     z[rng.random(z.shape) < 0.1] = np.nan

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import Delaunay
 
 from tests.store.formats.test_formats import letter_f
@@ -35,6 +34,8 @@ def write(path, mesh):
 
 def plane(n=400):
     """Triangulate scattered points of a slope; nothing alike along x and y."""
+    import trimesh
+
     xy = np.vstack([np.random.default_rng(3).uniform(0, (40, 25), (n, 2)), [(0, 0), (40, 0), (0, 25), (40, 25)]])
     return trimesh.Trimesh(np.column_stack([xy, 0.1 * xy[:, 0] + 0.3 * xy[:, 1]]), Delaunay(xy).simplices)
 
@@ -55,6 +56,8 @@ def test_a_slope_is_the_slope_at_every_pixel(tmp_path, ending):
 @pytest.mark.parametrize("ending", KINDS)
 def test_a_lattice_is_recognised(tmp_path, ending):
     """Vertices on a lattice that their triangles join are the heights themselves, gaps included."""
+    import trimesh
+
     z = np.random.default_rng(1).normal(size=(20, 30)) + 0.1 * np.arange(30)
     y, x = np.mgrid[19.0:-1:-1, :30]
     n = np.arange(600).reshape(20, 30)
@@ -73,6 +76,8 @@ def test_a_lattice_is_recognised(tmp_path, ending):
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", KINDS)
 def test_the_highest_of_several_surfaces_is_seen(tmp_path, ending):
+    import trimesh
+
     plate = trimesh.creation.box((40, 20, 2), trimesh.transformations.translation_matrix((20, 10, 0)))
     ball = trimesh.creation.icosphere(4, 5.0)
     ball.apply_translation((30, 14, 8))
@@ -115,6 +120,8 @@ def test_what_a_glb_states_is_not_overruled(tmp_path):
 
 @pytest.mark.slow
 def test_a_million_pixels_under_one_triangle(tmp_path):
+    import trimesh
+
     path = write(tmp_path / "a.stl", trimesh.Trimesh([(0, 0, 0), (1500, 0, 3), (0, 1500, 6)], [(0, 1, 2)]))
     back = read_surface(path, z_unit="um", pixel_um=1)
     assert back.shape == (1501, 1501)
