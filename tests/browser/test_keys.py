@@ -49,6 +49,23 @@ def test_an_arrow_moves_the_slider_that_has_the_focus_and_not_the_camera(serve: 
     assert stored(page, "camera") == before
 
 
+def test_the_main_button_of_a_step_is_two_presses_away(serve: Serve):
+    page = serve(fake.FakeSession(fake.measured()))
+    go_to(page, "Plan")
+    skip = page.get_by_role("button", name="Skip to the main button")
+    assert skip.evaluate("at => at === document.querySelector('a[href], button, input, [tabindex]')"), "the first stop"
+    skip.focus()
+    expect(skip).to_have_css("clip-path", "none")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Start scan", exact=True)).to_be_focused()
+    expect(skip).not_to_have_css("clip-path", "none")
+    go_to(page, "Surface")
+    title_is(page, "Surface")
+    page.get_by_label("One z").focus()
+    page.keyboard.press(".")
+    expect(page.get_by_role("button", name="Measure this surface")).to_be_focused()
+
+
 def test_letters_go_into_a_field_until_it_is_left(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)

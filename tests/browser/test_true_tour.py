@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.steps import notes, press
+from tests.browser.steps import notes
 from wafer_viewer.session.session import Session
 
 pytestmark = [
@@ -20,6 +20,11 @@ pytestmark = [
 ]
 WORK_S = 240
 """Long enough for a machine that does other things too; a free one needs a tenth of it."""
+MOST_PRESSES = 24
+SETTLED_MS = 400
+"""Longer than the page takes to put the focus where it goes after a press."""
+FOCUSED = "at => at === document.activeElement"
+NOWHERE = "[document.body, null].includes(document.activeElement)"
 
 
 @pytest.fixture
@@ -41,33 +46,61 @@ def leads(page: Page, n: int, title: str, button: str) -> None:
     expect(page.locator(".wv-tour-ring")).to_be_visible()
 
 
-def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, session: Session):
-    folder = session.snapshot.data_folder
+class Keyboard:
+    """Keys pressed one by one and counted; after each, the focus must be on something, not on the whole page."""
+
+    def __init__(self, page: Page) -> None:
+        self._page, self.presses = page, 0
+
+    def press(self, key: str) -> None:
+        self._page.keyboard.press(key)
+        self.presses += 1
+        self._page.wait_for_timeout(SETTLED_MS)
+        assert not self._page.evaluate(NOWHERE), f"press {self.presses}, {key}: the focus fell back to the page"
+
+    def tab_to(self, target: Locator) -> None:
+        while not target.evaluate(FOCUSED):
+            assert self.presses < MOST_PRESSES, f"Tab does not come to {target}"
+            self.press("Tab")
+
+    def enter(self, target: Locator) -> None:
+        """Press what the focus is on, or comes to by itself."""
+        expect(target).to_be_focused()
+        self.press("Enter")
+
+
+def button(page: Page, name: str) -> Locator:
+    return page.get_by_role("button", name=name, exact=True).last
+
+
+def test_the_tour_leads_by_keyboard_from_an_empty_folder_to_a_report_that_opens(page: Page, session: Session):
+    folder, keyboard = session.snapshot.data_folder, Keyboard(page)
     session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
-    page.locator("[data-pick=tour]").click()
+    keyboard.tab_to(page.locator("[data-pick=tour]"))
+    keyboard.press("Enter")
     leads(page, 1, "Scan a wafer", "Start scan")
-    press(page, "Start scan")
+    keyboard.enter(button(page, "Start scan"))
     leads(page, 2, "Watch the surface grow", "Look at the surface")
-    press(page, "Look at the surface")
+    keyboard.enter(button(page, "Look at the surface"))
     leads(page, 3, "Turn the surface", "Measure this surface")
-    press(page, "Measure this surface")
+    keyboard.enter(button(page, "Measure this surface"))
     expect(note(page)).to_contain_text("Measure a step", timeout=1000 * WORK_S)
-    page.locator("[data-pick=tool][data-k=step]").click()
+    keyboard.enter(page.locator("[data-pick=tool][data-k=step]"))
     expect(page.locator(".wv-answer")).to_contain_text("µm", timeout=1000 * WORK_S)
     leads(page, 4, "Measure a step", "Keep result")
-    press(page, "Keep result")
+    keyboard.enter(button(page, "Keep result"))
     leads(page, 5, "Find the defects", "Review")
-    note(page).get_by_role("button", name="Press it for me").click()
+    keyboard.enter(page.get_by_role("navigation").get_by_role("button", name="Review"))
     leads(page, 5, "Find the defects", "Inspect")
-    press(page, "Inspect")
+    keyboard.enter(button(page, "Inspect"))
     leads(page, 6, "Judge a defect", "Real defect")
     kinds = {defect.seen_as for defect in session.snapshot.inspection.inspection.found}
     assert kinds >= {"residue", "scratch", "particle"}
-    press(page, "Real defect")
+    keyboard.enter(button(page, "Real defect"))
     leads(page, 7, "Write the report", "Report")
-    note(page).get_by_role("button", name="Press it for me").click()
+    keyboard.enter(page.get_by_role("navigation").get_by_role("button", name="Report"))
     leads(page, 7, "Write the report", "Write report")
-    press(page, "Write report")
+    keyboard.enter(button(page, "Write report"))
 
     card = page.get_by_role("dialog", name="Results of the tour")
     expect(card).to_contain_text("Seen, measured, reported", timeout=1000 * WORK_S)
@@ -75,7 +108,7 @@ def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, 
         expect(card).to_contain_text(words)
     assert notes(page).count() == 0
     with page.context.expect_page() as opening:
-        card.get_by_role("link", name="Open the report").click()
+        keyboard.enter(card.get_by_role("link", name="Open the report"))
     report = opening.value
     expect(report.locator("body")).to_contain_text("SIMULATED")
     for section in ("Results", "Defects", "Plan", "Checksums"):
@@ -83,8 +116,11 @@ def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, 
     expect(report.locator("body")).to_contain_text(session.snapshot.findings[0].name)
     (path,) = folder.glob("*-report-1.html")
     assert report.title() in path.read_text()
-    card.get_by_role("button", name="Close").click()
+    report.close()
+    keyboard.tab_to(card.get_by_role("button", name="Close"))
+    keyboard.press("Enter")
     expect(card).to_have_count(0)
+    assert keyboard.presses <= MOST_PRESSES
 
 
 def test_escape_ends_the_tour_and_a_reload_does_not(page: Page, session: Session):

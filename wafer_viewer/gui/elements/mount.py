@@ -203,7 +203,9 @@ class ButtonWidget(Widget):
         if element.style == "outlined":
             add_html(gui, outlined_style(handle, element.height_px or 36), order)
         elif element.style != "plain" and not in_row:
-            add_html(gui, leading_style(handle, element.height_px or 44, element.style == "leading"), order)
+            leads = element.style == "leading"
+            mark = _KEY.format("wv-main", handle._impl.uuid) if leads else Markup()
+            add_html(gui, leading_style(handle, element.height_px or 44, leads) + mark, order)
 
     def show(self, element: el.Button) -> None:
         """Set label and state, and the callback of the next press."""
@@ -230,6 +232,7 @@ class ButtonsWidget(Widget):
         marks = zip(("wv-away", "wv-do") if row.answers else (), handles, strict=False)
         keys = Markup().join(_KEY.format(mark, handle._impl.uuid) for mark, handle in marks)
         filled = next((h for h, one in zip(handles, row.buttons, strict=True) if one.style == "leading"), None)
+        keys += _KEY.format("wv-main", filled._impl.uuid) if filled is not None else Markup()
         add_html(gui, row_style(handles, row.height_px, filled) + foot + keys, placed.order)
 
     def show(self, element: el.Buttons) -> None:
@@ -244,7 +247,7 @@ class ButtonsWidget(Widget):
 
 
 _KEY = Markup('<span hidden class="{}" data-button="{}"></span>')
-"""Mark that tells the script of keys which button Escape or Enter presses."""
+"""Mark that tells the script of keys which button Escape or Enter presses, or which is the main one of the step."""
 
 
 class UploadWidget(Widget):

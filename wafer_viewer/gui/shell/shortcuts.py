@@ -373,7 +373,8 @@ FIXED_KEYS: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
         ("Every command by name", "Ctrl + K"),
         ("This list", "F1 or ?"),
-        ("Next, previous field or button", "Tab"),
+        ("Next, previous field or button", "Tab, Shift + Tab"),
+        ("To the main button of the step", "."),
         ("Leave a text field", "Enter or Esc"),
     ),
     "Plan": (

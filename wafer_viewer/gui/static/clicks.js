@@ -34,12 +34,14 @@ document.addEventListener('focusin', event => { focused = clickable(event.target
 document.addEventListener('click', event => { if (event.detail) focused = null; }, true);  // by mouse: the keys are the page's
 window.addEventListener('keydown', event => {
   if (event.key !== 'Enter' && event.key !== ' ') return;
-  const room = event.target.closest?.('[data-dock-region], [data-floating-window]') ?? document;
+  const room = event.target.closest?.('[role=dialog], [data-dock-region], [data-floating-window]') ?? document;
   const all = [...room.querySelectorAll(REACHED)], at = all.indexOf(event.target);
   [following, pressedAt] = [at < 0 ? [] : [...all.slice(at + 1), ...all.slice(0, at).reverse()], Date.now()];
 }, true);
 const keepFocus = () => {
-  if (document.activeElement !== document.body) return;
+  /* A button that was switched off has the focus until the next picture, and loses it then without an event. */
+  const active = document.activeElement;
+  if (active !== document.body && !active.matches(':disabled')) return;
   const before = focused && !focused.isConnected ? focused : null;
   focused = null;
   const same = at => at.dataset.k === before.dataset.k && at.tagName === before.tagName && reachable(at);

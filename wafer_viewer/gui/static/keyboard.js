@@ -5,6 +5,16 @@ const isTyping = at => at.matches?.('textarea, input:not([type=checkbox], [type=
 const last = selector => [...document.querySelectorAll(selector)].pop();
 const consume = event => { event.preventDefault(); event.stopImmediatePropagation(); };
 
+/* The main button at the foot of the step's panel lies tens of stops from the first: a full stop goes there, and so does
+   the first stop of Tab, which is in sight while it has the focus. */
+const mainButton = () => [...document.querySelectorAll('.wv-main')]
+  .map(mark => document.getElementById(mark.dataset.button))
+  .filter(button => button?.checkVisibility() && !button.matches('[data-disabled], :disabled')).pop();
+const skip = Object.assign(document.createElement('button'),
+  { type: 'button', className: 'wv-skip', textContent: 'Skip to the main button' });
+skip.addEventListener('click', () => mainButton()?.focus());
+document.body.prepend(skip);
+
 const press = marker => document.getElementById(last(marker)?.dataset.button)?.click();
 
 const inDialog = (event, typing) => {
@@ -31,6 +41,9 @@ const elsewhere = event => {
   if (plain && (event.key === 'F1' || event.key === '?')) {
     consume(event);
     document.querySelector('.wv-keys-sheet')?.click();
+  } else if (plain && event.key === '.') {
+    consume(event);
+    mainButton()?.focus();
   } else if (plain && event.key === 'Enter' && event.target.closest?.('button, [role=button]')) {
     /* It presses what has the focus, and is no key of ours then; with Shift it is ours. */
     if (event.shiftKey) {

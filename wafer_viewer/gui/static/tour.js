@@ -22,7 +22,19 @@ const clear = (left, top, width, height) => {
 let brought = '', byKey = false;
 document.addEventListener('keyup', () => { byKey = true; }, true);
 document.addEventListener('pointerdown', () => { byKey = false; }, true);
+/* So does the card at the end, which gives the focus back. */
+let ended = false, before = null;
+const greet = () => {
+  const card = document.querySelector('.wv-tour-end'), active = document.activeElement;
+  if (ended === !!card) return;
+  ended = !!card;
+  if (card && byKey) {
+    before = active;
+    card.querySelector('.wv-tour-ways a')?.focus();
+  } else if (!card && active === document.body) before?.focus();
+};
 const place = () => {
+  greet();
   const note = document.querySelector('.wv-tour');
   if (!note) return;
   const ring = document.querySelector('.wv-tour-ring'), arrow = note.querySelector('.wv-tour-arrow');
