@@ -33,6 +33,8 @@ def test_files_are_shown_with_their_sources_before_they_are_imported(
     page = serve(session)
     press(page, "Import…")
     dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("A folder of images, several files")
+    expect(dialog.get_by_role("button", name="Import", exact=True)).to_be_disabled()
     type_into(page, "Path", str(stack))
     expect(dialog.locator(".wv-imp-files")).to_contain_text("a frame is missing")
     expect(dialog.locator(".wv-imp-files .off")).to_contain_text("fused.tif")

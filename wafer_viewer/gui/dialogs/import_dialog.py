@@ -243,9 +243,9 @@ class ImportDialog(FileDialog[_Form]):
         )
 
     def button(self, answer: Confirm) -> Button:
-        """Return the confirming button, which names a gap and is off while something has to be settled."""
+        """Return the confirming button, which names a gap; off without files or with something unsettled."""
         label = words.button_words(self._found, self.own.options)
-        off = self._is_current and bool(words.why_not(self._found))
+        off = self.is_empty or (self._is_current and bool(words.why_not(self._found)))
         return with_changes(super().button(answer), label=label, disabled=off)
 
     def _values(self, contents: FileContents | None) -> Elements:

@@ -15,7 +15,12 @@ const skip = Object.assign(document.createElement('button'),
 skip.addEventListener('click', () => mainButton()?.focus());
 document.body.prepend(skip);
 
-const press = marker => document.getElementById(last(marker)?.dataset.button)?.click();
+/* What was typed before Enter may switch the button on, a moment later. */
+const press = (marker, tries = 5) => {
+  const button = document.getElementById(last(marker)?.dataset.button);
+  if (button?.matches(':disabled') && tries) setTimeout(press, 100, marker, tries - 1);
+  else button?.click();
+};
 
 const inDialog = (event, typing) => {
   if (event.key === 'Escape') { consume(event); press('.mantine-Modal-content .wv-away'); }
