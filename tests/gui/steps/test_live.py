@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -217,6 +218,20 @@ def test_the_curve_keeps_its_ends_while_what_is_seen_lies_within():
     page.session.live.latest = a_frame(3.0)
     live_dock(here)
     assert here.own is ends_um
+
+
+def test_labels_of_close_lines_lie_on_their_outer_sides():
+    session = live_session()
+    look, snapshot = session.live.look(), session.snapshot
+    assert look.trace.best_um is not None
+    sides = []
+    for here_um in (look.trace.best_um - 3, look.trace.best_um + 3, look.trace.best_um - 40):
+        drawn = curve_html(look, replace(snapshot, rig=replace(snapshot.rig, z_um=here_um)), (-40.0, 60.0))
+        sides.append(re.findall(r'<b style="(left|right):[^"]*">(here|best)', drawn))
+    close_below, close_above, apart = ({label: side for side, label in found} for found in sides)
+    assert close_below == {"here": "right", "best": "left"}
+    assert close_above == {"here": "left", "best": "right"}
+    assert apart == {"here": "left", "best": "left"}
 
 
 def test_a_place_can_be_kept_where_the_stage_can_move():

@@ -74,14 +74,14 @@ def curve_html(look: LiveLook, snapshot: Snapshot, ends_um: tuple[float, float])
     axes = ChartAxes.stretched(ends_um, (0.0, 1.12), round_ticks(ends_um, 9, signed=True), _Y_TICKS)
     points, best = look.trace.points, look.trace.best
     here_um = snapshot.rig.z_um
-    drawn, words = _range_area(axes, snapshot.live), [_label(axes, here_um, "ink", "here", 0)]
+    best_um = look.trace.best_um if best is not None and best[1] > 0 else None
+    drawn, words = _range_area(axes, snapshot.live), [_label(axes, here_um, "ink", "here", 0, best_um)]
     if best is not None and best[1] > 0:
         drawn += _curve(axes, points, best[1])
-        best_um = look.trace.best_um
         if best_um is not None:
             drawn += line_svg(axes.upright(axes.x.within(best_um)), "good", 1.6, Markup('stroke-dasharray="5 4"'))
             text = f"best {number(best_um, 1, signed=True)}"
-            words.append(_label(axes, best_um, "good", text, 1))
+            words.append(_label(axes, best_um, "good", text, 1, here_um))
     drawn += line_svg(axes.upright(axes.x.within(here_um)), "ink", 1.8)
     if len(points) < 2:
         words.append(Markup('<b class="wv-live-unseen">Move in z, or go to focus: the curve is drawn as you move</b>'))
@@ -123,11 +123,17 @@ def _unseen(axes: ChartAxes, points: tuple[tuple[float, float], ...]) -> list[Ma
     return areas
 
 
-def _label(axes: ChartAxes, z_um: float, colour: str, text: str, row: int) -> Markup:
-    """Return a label beside its line; `row`: 0 at the top, 1 below it."""
+NEAR_PERCENT, LABEL_PERCENT = 18.0, 12.0
+"""Labels of lines nearer than the first lie on their outer sides, except within the second of the start of the axis."""
+
+
+def _label(axes: ChartAxes, z_um: float, colour: str, text: str, row: int, other_um: float | None) -> Markup:
+    """Return a label beside its line, not across the other one; `row`: 0 at the top, 1 below it."""
     percent = axes.x.percent(axes.x.within(z_um))
-    side = f"right:calc({100 - percent:.2f}% + 6px)" if percent > 80 else f"left:calc({percent:.2f}% + 6px)"
-    return Markup('<b style="{};top:{}px;color:var(--{})">{}</b>').format(side, 16 * row - 2, colour, text)
+    above = 0.0 if other_um is None else axes.x.percent(axes.x.within(other_um)) - percent
+    before = percent > 80 or (percent > LABEL_PERCENT and 0 < above < NEAR_PERCENT)
+    side = f"right:calc({100 - percent:.2f}% + 6px)" if before else f"left:calc({percent:.2f}% + 6px)"
+    return Markup('<b style="{};top:{}px;color:var(--{})">{}</b>').format(side, 16 * row, colour, text)
 
 
 def grips_html(live: LiveState, ends_um: tuple[float, float]) -> Markup:
