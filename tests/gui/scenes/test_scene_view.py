@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import io
+import threading
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,10 +30,12 @@ from tests.support.page_stand_in import (
 from tests.support.patience import until
 from tests.support.stage_props import Browser, RecordingScene
 from wafer_viewer.draw.surface.display_style import DisplayStyle
-from wafer_viewer.gui.scene.camera_presets import Clear, direction_of, fit
+from wafer_viewer.gui.scene.camera_controller import CameraController
+from wafer_viewer.gui.scene.camera_presets import FOV_RAD, CameraPose, Clear, direction_of, fit
 from wafer_viewer.gui.scene.reconciler import SceneItem, SceneReconciler
 from wafer_viewer.gui.scene.scene_contents import DisplayedSurface
 from wafer_viewer.gui.scene.surface_tiles import VERTICES, cut, display_style_of
+from wafer_viewer.gui.scene.viewport import Viewport
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.scenes.surface_scene import block_items
 from wafer_viewer.gui.state.view_state import View, changed
@@ -53,6 +57,7 @@ from wafer_viewer.session.state.snapshot import Snapshot
 GRID = grid(2, 2)
 JOB, PLAN = job_and_plan(GRID)
 STEP_UM = 20.0
+PATIENCE_S = 20.0
 FACE = Region.rectangle(60.0, -80.0, 120.0, -20.0)
 
 
@@ -290,7 +295,7 @@ def test_the_camera_follows_the_canvas_until_the_operator_moves_it(browser: Brow
     settled(scene)
     first = browser.camera.position.copy()
     browser.camera.image_width = 500
-    browser.camera.moved[-1](browser.camera)
+    browser.camera.moved[0](browser.camera)
     until(lambda: not np.allclose(browser.camera.position, first))
     mine = browser.camera.position = np.array([9.0, 9.0, 9.0])
     browser.camera.image_width = 800
@@ -300,6 +305,55 @@ def test_the_camera_follows_the_canvas_until_the_operator_moves_it(browser: Brow
     scene.look_from("top")
     until(lambda: not np.allclose(browser.camera.position, mine))
     assert browser.camera.position[2] > 3 * abs(browser.camera.position[1] - browser.camera.look_at[1])
+
+
+SMALL_PX, LARGE_PX = (240, 700), (540, 700)
+"""Sizes of the scene beside a left panel and without it, in a window 944 px wide."""
+
+
+def test_the_camera_follows_a_size_that_is_reported_after_its_own_last_report(
+    browser: Browser, session: StandIn
+) -> None:
+    viewport = Viewport(browser.camera)  # pyright: ignore[reportArgumentType]
+    viewport.set_size(*SMALL_PX)
+    scene = SceneView(browser, session, viewport=viewport)  # pyright: ignore[reportArgumentType]
+    scene.draw(SNAPSHOT, View(step="surface"))
+    settled(scene)
+    far = np.linalg.norm(browser.camera.position - browser.camera.look_at)
+    viewport.set_size(*LARGE_PX)
+    until(lambda: np.linalg.norm(browser.camera.position - browser.camera.look_at) < 0.7 * far)
+    scene.close()
+
+
+def test_a_fit_to_an_older_size_of_the_canvas_does_not_replace_the_newer(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewport = Viewport(browser.camera)  # pyright: ignore[reportArgumentType]
+    viewport.set_size(*SMALL_PX)
+    eye = CameraController(browser, viewport)  # pyright: ignore[reportArgumentType]
+    corners = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)])
+    eye.frame(corners, "top", Clear())
+    fitting, go_on = threading.Event(), threading.Event()
+
+    def slow(*args: Any) -> CameraPose:
+        first, pose = not fitting.is_set(), fit(*args)
+        fitting.set()
+        assert not first or go_on.wait(PATIENCE_S)
+        return pose
+
+    monkeypatch.setattr("wafer_viewer.gui.scene.camera_controller.fit", slow)
+    with ThreadPoolExecutor(2) as threads:
+        older = threads.submit(eye.frame, corners, "top", Clear())
+        assert fitting.wait(PATIENCE_S)
+        viewport.set_size(*LARGE_PX)
+        newer = threads.submit(eye.refit)
+        wait([newer], timeout=0.2)
+        go_on.set()
+        older.result(PATIENCE_S)
+        newer.result(PATIENCE_S)
+    eye.refit()
+    assert eye.pose.is_near(fit(corners, direction_of("top"), FOV_RAD, *LARGE_PX, Clear()))
+    eye.close()
 
 
 # ---------------------------------------------------------------- tools

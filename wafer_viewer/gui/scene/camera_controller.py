@@ -198,6 +198,8 @@ class CameraController:
         self._clear = Clear()
         self._set: CameraPose | None = None
         self._size_px = (0, 0)
+        self._fitting = threading.RLock()
+        """Held from reading the size of the canvas to the pose for it: the scene's thread and that of the moves fit."""
         self._last_seen: Vector | None = None
         self._pilot = CameraAnimator(self._put, lambda: self.pose)
         client.camera.on_update(self._heard)
@@ -284,10 +286,11 @@ class CameraController:
 
     def refit(self) -> None:
         """Fit again after the canvas was resized, unless the operator has moved the camera since."""
-        if self.canvas_px == self._size_px or self._corners is None:
-            return
-        if self.goal.is_near(self._set):
-            self._apply(self._set.direction if self._set else direction_of(self._preset), self._stand)
+        with self._fitting:
+            if self.canvas_px == self._size_px or self._corners is None:
+                return
+            if self.goal.is_near(self._set):
+                self._apply(self._set.direction if self._set else direction_of(self._preset), self._stand)
 
     @property
     def canvas_px(self) -> tuple[int, int]:
@@ -297,9 +300,10 @@ class CameraController:
     def _apply(self, direction: Vector, move: Callable[[CameraPose], None]) -> None:
         if self._corners is None:
             return
-        self._size_px = self.canvas_px
-        self._set = fit(self._corners, direction, FOV_RAD, *self._size_px, self._clear)
-        move(self._set)
+        with self._fitting:
+            self._size_px = self.canvas_px
+            self._set = fit(self._corners, direction, FOV_RAD, *self._size_px, self._clear)
+            move(self._set)
 
     def _fly(self, pose: CameraPose) -> None:
         if not self._pilot.fly(self.pose, pose):

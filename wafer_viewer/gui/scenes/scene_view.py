@@ -211,7 +211,8 @@ class SceneView:
         self._poses = poses or PoseCache(lambda: session.poses(), self._on_fault)
         self._poses.on_arrival(self._arrived)
         self._steady = DisplayRangeHysteresis()
-        self._eye = CameraController(client, viewport or Viewport(client.camera))
+        viewport = viewport or Viewport(client.camera)
+        self._eye = CameraController(client, viewport)
         self._tools = Tools(client, self._eye, lambda show: session.surface_source(show))
         self._shown: SceneContents | None = None
         self._place: Hashable = None
@@ -226,7 +227,8 @@ class SceneView:
         self._points_listener: Callable[[int], None] = lambda drawn: None
         self._drawn_points = 0
         client.scene.add_frame("/WorldAxes", visible=False)  # stands before the axes that viser draws for everyone
-        client.camera.on_update(lambda _: self._moves.ask(self._camera_moved))
+        # Also when the browser reports the size of the scene, which may come after the camera's report of that resize.
+        viewport.on_change(lambda: self._moves.ask(self._camera_moved))
         threading.Thread(target=self._run, name="scene", daemon=True).start()
 
     # ---------------------------------------------------------------- what the page calls

@@ -168,7 +168,7 @@ def test_the_overlay_keeps_its_distances_on_the_screen_and_small_words_are_not_d
     seen = numbers.visible
     for k in range(3):
         browser.camera.position = browser.camera.look_at + (browser.camera.position - browser.camera.look_at) * 6
-        browser.camera.moved[-1](browser.camera)
+        browser.camera.moved[0](browser.camera)
         until(lambda k=k: line.position[2] == pytest.approx(up * 6 ** (k + 1), rel=0.1))
     assert seen
     assert not numbers.visible
@@ -235,7 +235,7 @@ def test_after_every_move_of_the_camera_tiles_cover_the_surface_once(
     for x, y, away in ((0.0, 0.0, 0.3), (0.2, 0.1, 0.08), (-0.5, 0.2, 0.1), (0.0, 0.0, 3.0), (0.4, -0.2, 0.02)):
         browser.camera.look_at = np.array([x, y, 0.05])
         browser.camera.position = browser.camera.look_at + away * np.array([0.0, -0.6, 0.8])
-        browser.camera.moved[-1](browser.camera)
+        browser.camera.moved[0](browser.camera)
         until(lambda x=x: scene.pose is not None and scene.pose.look_at[0] == x and not scene.busy)
         settled(scene)
         spans = [_node(name).spans for name in browser.scene.names("/surface/") if "wall" not in name]
