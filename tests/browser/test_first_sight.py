@@ -31,6 +31,15 @@ COVERED = """() => {
   return over;
 }"""
 """Glass over the scene that the note covers."""
+COUNT_CONTEXTS = """
+window.contexts = [];
+const make = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  if (kind.startsWith('webgl') && !window.contexts.includes(this)) window.contexts.push(this);
+  return make.call(this, kind, ...rest);
+};
+"""
+"""Notes each canvas that gets a context of the graphics card."""
 SILENT = "window.Worker = class { postMessage() {} terminate() {} addEventListener() {} };"
 """viser's client speaks with the program in a worker."""
 
@@ -76,6 +85,10 @@ def test_slow_graphics_are_told_at_the_foot_and_not_over_the_tools(serve_anew: C
     page = serve_anew(fake.FakeSession(fake.planned()))
     expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")
     expect(page.get_by_text("Software WebGL rendering detected")).to_be_hidden()
+    page.add_init_script(COUNT_CONTEXTS)
+    page.reload()
+    expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")
+    assert page.evaluate("window.contexts.length") == 2, "that of the scene, and the one by which viser tells"
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (1920, 1080)])

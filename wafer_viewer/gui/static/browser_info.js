@@ -1,13 +1,13 @@
 /* Facts about the browser and the layout of the page, reported through a hidden field when they change. */
 const EVERY_MS = 600;
+/* Asked of the scene's own context: the page stands still while a browser makes one. */
+let renderer = '';
 const rendererName = () => {
-  const gl = document.createElement('canvas').getContext('webgl2');
-  const named = gl && gl.getExtension('WEBGL_debug_renderer_info');
-  const name = named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : '';
-  if (gl) gl.getExtension('WEBGL_lose_context')?.loseContext();
-  return name;
+  const gl = document.querySelector('canvas[data-engine]')?.getContext('webgl2');
+  const named = gl?.getExtension('WEBGL_debug_renderer_info');
+  return (named && gl.getParameter(named.UNMASKED_RENDERER_WEBGL)) || '';
 };
-const renderer = rendererName(), still = matchMedia('(prefers-reduced-motion: reduce)');
+const still = matchMedia('(prefers-reduced-motion: reduce)');
 const dark = matchMedia('(prefers-color-scheme: dark)');
 const side = edge => {
   const region = document.querySelector(`[data-dock-region=${edge}]`);
@@ -28,6 +28,7 @@ const scene = () => {
 /* A page that was made anew, after a lost connection, has another field, and knows nothing yet. */
 let reported = '', reportedTo = null;
 const tell = () => {
+  renderer = renderer || rendererName();
   const field = document.querySelector('div:has(>.wv-tells)+div input');
   const now = {
     system: navigator.platform, renderer, still: still.matches, dark: dark.matches, left: side('left'), right: side('right'),
