@@ -178,11 +178,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+HARDLY_EVER = 1.5
+"""Errors over U = 2 u of one scan in several hundred; U itself leaves out one in twenty."""
+
+
 @pytest.mark.slow
 def test_every_example_of_the_readme_runs(folder, capsys):
     assert sum(run_example(kind, body) for kind, body in examples(ROOT / "README.md")) == 3
     ((height, u),) = printed_steps(capsys.readouterr().out)
-    assert abs(height - DEPTH_UM) <= u
+    assert abs(height - DEPTH_UM) <= HARDLY_EVER * u
 
 
 PAGES_WITH_EXAMPLES = [page for page in pages()[1:] if examples(page)]
@@ -204,18 +208,24 @@ def test_every_example_of_a_page_runs(page, folder, request, capsys):
     assert sum(run_example(kind, body) for kind, body in examples(page)) >= 1
     steps = printed_steps(capsys.readouterr().out)
     assert len(steps) == STEPS.get(page.name, 0)
-    assert not [(height, u) for height, u in steps if abs(height - DEPTH_UM) > u]
+    assert not [(height, u) for height, u in steps if abs(height - DEPTH_UM) > HARDLY_EVER * u]
 
 
 @pytest.mark.slow
 @pytest.mark.campaign
-@pytest.mark.parametrize("scan", range(5))
-def test_u_of_the_readme_covers_the_truth_on_several_scans(folder, capsys, scan):
+def test_u_of_the_readme_covers_the_truth_in_four_of_five_scans(folder, capsys):
     """The noise of the virtual rig is new in every scan."""
-    for kind, body in examples(ROOT / "README.md"):
-        run_example(kind, body)
-    ((height, u),) = printed_steps(capsys.readouterr().out)
-    assert abs(height - DEPTH_UM) <= u <= 0.3
+    found = []
+    for _ in range(5):
+        for kind, body in examples(ROOT / "README.md"):
+            run_example(kind, body)
+        shutil.rmtree("scan.wafer")
+        found += printed_steps(capsys.readouterr().out)
+    ratios = [abs(height - DEPTH_UM) / u for height, u in found]
+    assert len(ratios) == 5
+    assert sorted(ratios)[3] <= 1
+    assert max(ratios) <= HARDLY_EVER
+    assert max(u for _, u in found) <= 0.3
 
 
 def test_files_of_a_release_name_the_version_of_the_package():

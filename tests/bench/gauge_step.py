@@ -58,9 +58,12 @@ def told(found: NDArray[np.float64]) -> tuple[str, ...]:
 def faces(seed: int, side: int, more_um: float = 0.0) -> tuple[HeightMap, float]:
     """A field on each face, farther from the wall than its shadow reaches, 117 um."""
     lower_um, step_um = lower_face_um(seed), BLOCKS_STEP_UM + more_um
-    settings = [{"tilt": 0.0, "middle_um": z} for z in (lower_um, lower_um + step_um)]
+    levels_um = lower_um, lower_um + step_um
     layouts = [
-        Layout(f"face-{n}", PILLBOX, 700 + 2 * seed + n, scene="plane", settings=at) for n, at in enumerate(settings)
+        Layout(
+            f"face-{n}-{more_um:g}", PILLBOX, 700 + 2 * seed + n, scene="plane", settings={"tilt": 0.0, "middle_um": z}
+        )
+        for n, z in enumerate(levels_um)
     ]
     return beside(*(height_map(layout, side) for layout in layouts)), step_um
 
