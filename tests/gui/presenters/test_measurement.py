@@ -19,6 +19,7 @@ from wafer_viewer.model.measurement.tool_options import PLACES, Levelling
 from wafer_viewer.model.measurement.tools import TOOL_OF_RESULT, TOOLS
 from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 
 PLACES_OF: dict[ToolName, tuple[Region, ...]] = {
     "profile": (Region.line(-100, 0, 100, 0),),
@@ -128,3 +129,20 @@ def test_places_are_outlined_within_their_picture(tool, found):
     assert (x1 - x0) / (y1 - y0) == pytest.approx(WIDTH_PX / HEIGHT_PX)
     drawn = outlines(found[tool], box)
     assert drawn.count("<circle") + drawn.count("<polygon") + drawn.count("<polyline") == len(found[tool].drawn)
+
+
+def test_a_step_across_an_edge_or_upside_down_is_no_large_number(found):
+    step = found["step"]
+    assert "font-size:40px" in words.card(step, "Step")
+    height = step.height.value_um
+    doubtful = {
+        "rougher than a tenth": replace(step, upper_sq_um=0.11 * height),
+        "lies below the lower one": replace(step, height=replace(step.height, value_um=-height)),
+    }
+    for words_of_it, finding in doubtful.items():
+        told = words.card(finding, "Step")
+        assert words_of_it in told
+        assert "drag them" in told
+        assert "40px" not in told
+        assert "expanded" not in told
+    assert "40px" in words.card(replace(step, upper_sq_um=0.09 * height), "Step")

@@ -87,10 +87,12 @@ def list_text(finding: AnyResult) -> Markup:
     return Markup("<b>{}</b>{}<small>{}</small>").format(value, with_unit_sign("", unit), uncertainty)
 
 
-def answer(name: str, quantity: Quantity, signed: bool = False) -> Markup:
-    """Return the card with a quantity in large type."""
+def answer(name: str, quantity: Quantity, signed: bool = False, doubt: str = "") -> Markup:
+    """Return the card with a quantity in large type; in small grey type with a doubt, which is told instead of U."""
     value, u, unit = value_texts(quantity, signed=signed)
-    if quantity.expanded is not None:
+    if doubt:
+        below = Markup('<span style="font-size:13px;color:var(--attention)">{}</span>').format(doubt)
+    elif quantity.expanded is not None:
         uncertainty = with_unit_sign(f"± {u}", unit)
         below = Markup('{} <span class="dim" style="font-size:13px">expanded, {}</span>').format(
             uncertainty, quantity.k_text
@@ -101,15 +103,26 @@ def answer(name: str, quantity: Quantity, signed: bool = False) -> Markup:
         )
     return Markup(
         '<div class="wv-answer"><div class="wv-lab">{name}</div>'
-        '<div class="wv-big" style="font-size:40px">{value}<span class="wv-unit"> {unit}</span></div>'
+        '<div class="wv-big" style="{look}">{value}<span class="wv-unit"> {unit}</span></div>'
         '<div style="font-size:17px;color:var(--ink2);font-weight:500">{below}</div></div>'
-    ).format(name=name, value=value, unit=unit, below=below)
+    ).format(name=name, value=value, unit=unit, below=below, look=_DOUBTFUL if doubt else "font-size:40px")
 
 
 def card(finding: AnyResult, name: str) -> Markup:
     """Return the card with a result's main quantity."""
     named = " · ".join(part for part in (name, main_label(finding)) if part)
-    return answer(named, finding.main, _is_signed(finding))
+    return answer(named, finding.main, _is_signed(finding), _doubt(finding))
+
+
+def _doubt(finding: AnyResult) -> str:
+    """Return why a step is hardly one between two level faces; empty for others."""
+    if not isinstance(finding, StepHeight):
+        return ""
+    if finding.height.value_um < 0:
+        return "The upper region lies below the lower one: drag them, or exchange them."
+    if max(finding.upper_sq_um, finding.lower_sq_um) > ROUGH * finding.height.value_um:
+        return "A face is rougher than a tenth of the height. The regions lie across an edge: drag them."
+    return ""
 
 
 def budget(quantity: Quantity) -> Markup:
@@ -138,6 +151,9 @@ def _is_signed(finding: AnyResult) -> bool:
     return tool.signed if tool is not None else True
 
 
+ROUGH = 0.1
+"""Largest Sq of a face of a step, as a fraction of its height."""
+_DOUBTFUL = "font-size:24px;color:var(--ink3)"
 LISTED, MOST_SITES_LISTED = 8, 12
 """Number of chips or bumps listed, the worst first; of sites listed, the largest ranges first."""
 COLUMNS = 3
