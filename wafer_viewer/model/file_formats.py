@@ -89,7 +89,7 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".pcd",),
         title="PCD, points",
-        loses="It holds points with a height as 32-bit floats, x and y from the corner of the surface: confidence, "
+        loses="It holds points with a height as 32-bit floats, x and y from the corner of the surface. Confidence, "
         "uncertainty, the all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
         layout="µm from the surface's corner, which a comment names: Open3D reads zeros from 64-bit PCD",
         reader=f"{_STORE}.pcd:read_pcd",
@@ -98,7 +98,7 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".laz",),
         title="LAZ, points",
-        loses="It holds points with a height, rounded to 1 nm in x and y and 0.01 nm in z, and their grey: confidence, "
+        loses="It holds points with a height, rounded to 1 nm in x and y and 0.01 nm in z, and their grey. Confidence, "
         "uncertainty, measured heights and why pixels are unmeasured stay behind.",
         layout="stage µm",
         writer=f"{_STORE}.laz:write_laz",
@@ -106,7 +106,7 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".csv",),
         title="CSV, x y z",
-        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, "
+        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z. Confidence, "
         "uncertainty, the all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
         layout="stage µm",
         reader=f"{_STORE}.text_table:read_table",
@@ -115,7 +115,7 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".xyz",),
         title="XYZ, x y z",
-        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, "
+        loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z. Confidence, "
         "uncertainty, the all-in-focus picture, measured heights, what was filled in and why pixels are unmeasured "
         "stay behind.",
         layout="stage µm",
@@ -132,7 +132,7 @@ OWN_FORMATS = (
     SurfaceFormat(
         suffixes=(".stl",),
         title="STL, a mesh",
-        loses=f"{_MESH}; x and y are counted from the corner of the surface.",
+        loses=f"{_MESH}. The coordinates x and y are counted from the corner of the surface.",
         layout="µm from the surface's corner",
         reader=f"{_STORE}.mesh_files:read_mesh",
         writer=f"{_STORE}.mesh:write_stl",

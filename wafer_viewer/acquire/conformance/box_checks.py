@@ -385,7 +385,7 @@ CHECKS = (
         "box_pulses_slow",
         "Pulses of a slow pass",
         f"A pass of {N_PULSES} pulses at a tenth of the fastest speed gives each of them once, in order, at its exact "
-        "count, on every axis and in both directions, without quadrature errors.",
+        "count. This holds on every axis and in both directions, without quadrature errors.",
         slow_pulses,
     ),
     _in_motion(
@@ -397,14 +397,14 @@ CHECKS = (
     _in_motion(
         "box_up_and_down",
         "Pairs of passes up and down",
-        f"{N_CROSSED} counts give a pulse each on the way up and on the way down; a train that is crossed back and "
+        f"{N_CROSSED} counts give a pulse each on the way up and on the way down. A train that is crossed back and "
         "forth gives each pulse once.",
         up_and_down,
     ),
     _in_motion(
         "box_least_gap",
         "Suppressed pulses",
-        "Pulses that come sooner than the least gap are suppressed and counted: with a gap of 1.5 periods, emitted and "
+        "Pulses that come sooner than the least gap are suppressed and counted. With a gap of 1.5 periods, emitted and "
         "suppressed ones add up to the train.",
         least_gap,
     ),

@@ -265,8 +265,8 @@ IN_MOTION = (
         "together",
         BOX_AND_STAGE,
         True,
-        f"After each of {2 * N_TURNS} motions there and back at the fastest speed of a pass the box's count is where "
-        f"it was at that end before, within {COUNT_TOLERANCE} counts, on every axis and without quadrature errors.",
+        f"Every axis makes {2 * N_TURNS} motions there and back at the fastest speed of a pass. After each the box's "
+        f"count is where it was at that end before, within {COUNT_TOLERANCE} counts, without quadrature errors.",
         slips,
     ),
     ConformanceCheck(

@@ -253,8 +253,8 @@ CHECKS = (
         "stage",
         STAGE,
         True,
-        f"A goal {BEYOND_UM:g} um outside of the range and a speed over the limit are refused before anything moves; z "
-        "is tried at its lower end only.",
+        f"A goal {BEYOND_UM:g} um outside of the range and a speed over the limit are refused before anything moves. "
+        "The z axis is tried at its lower end only.",
         soft_limits,
     ),
     ConformanceCheck(
