@@ -194,6 +194,21 @@ def test_a_move_that_waited_when_a_stop_came_is_not_begun(instrument):
     assert [command for command, _ in link.asked] == [Stop(), Move(x_um=2.0)]
 
 
+def test_no_move_is_sent_after_a_stop_that_came_while_it_was_on_its_way(instrument, monkeypatch):
+    rig, command_queue, link = instrument
+    begin = rig.start
+
+    def stopped_meanwhile():
+        rig.stop_at_once()
+        return begin()
+
+    monkeypatch.setattr(rig, "start", stopped_meanwhile)
+    with pytest.raises(MotionStopped):
+        command_queue.do(rig.move_to, Move(x_um=1.0), rig.n_stops).result(60.0)
+    assert [command for command, _ in link.asked] == [Stop()]
+    assert command_queue.snapshot.rig.state == "ready"
+
+
 def test_without_a_process_nothing_moves(instrument, monkeypatch):
     rig, _, link = instrument
     monkeypatch.setattr(StandingLink, "alive", False)

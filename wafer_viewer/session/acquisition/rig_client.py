@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from itertools import count
 from multiprocessing.connection import Connection
+from threading import Lock
 from typing import Any, TypeVar
 
 from wafer_viewer.compute.child_process import ChildProcess
@@ -95,6 +96,8 @@ class RigClient:
         self._procedures: dict[int, RunningProcedure] = {}
         self.n_stops = 0
         """Number of stops requested from other threads, ahead of the queued commands."""
+        self._sending = Lock()
+        """Held while a move is sent unless it was stopped, and while a stop is: no move follows a stop by chance."""
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
@@ -136,13 +139,15 @@ class RigClient:
         were requested since.
         """
         self.require_idle("move a positioner" if isinstance(move, MovePositioner) else "move the stage")
-        if n_stops is not None and n_stops < self.n_stops:
-            stood = self._command_queue.now.rig
-            raise MotionStopped.at(stood.x_um, stood.y_um, stood.z_um)
         link = self.start()
+        with self._sending:
+            if n_stops is not None and n_stops < self.n_stops:
+                stood = self._command_queue.now.rig
+                raise MotionStopped.at(stood.x_um, stood.y_um, stood.z_um)
+            arrived = link.ask(move)
         self._moves += 1
         self._show_moves()
-        return self._command_queue.afterwards(link.ask(move), self._move_over)
+        return self._command_queue.afterwards(arrived, self._move_over)
 
     def jog(self, word: Jog) -> Future[None]:
         """Send a word of a jog, from any thread: it must not wait for commands.
@@ -200,8 +205,9 @@ class RigClient:
 
     def stop_at_once(self) -> Future[bool]:
         """Stop motion from any thread, ahead of queued commands; queued moves are not started."""
-        self.n_stops += 1
-        return self.break_off()
+        with self._sending:
+            self.n_stops += 1
+            return self.break_off()
 
     def break_off(self) -> Future[bool]:
         """Stop all motion, from any thread.
