@@ -24,6 +24,7 @@ from wafer_viewer.reconstruct.gates.edge_sides import STANDING_GAPS
 from wafer_viewer.reconstruct.gates.evidence import auto_least_probability
 from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, Gate, gate_for, origins
 from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
+from wafer_viewer.reconstruct.preprocess.frame_jitter import LEAST_GAP
 
 AUTO_WINDOWS = (9, 13, 17)
 """Candidate windows in pixels. Below 9 px, height noise grows faster than resolution improves."""
@@ -73,7 +74,7 @@ class FocusWidthParameters:
 
 FOCUS_WIDTH = FocusWidthParameters()
 LEAST_BESIDE, LEAST_BEND = 1e-4, 1e-4
-"""Smallest value of a curve beside its highest frame, of that one, and smallest bend, in powers of two a frame."""
+"""Smallest value of a curve beside its highest frame, of that one, and smallest bend, in powers of two per um."""
 TOO_WIDE = 2.0
 """Largest plausible focus width, in depths of field; wide-open and apodised pupils reach 1.5."""
 
@@ -171,7 +172,7 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
     )  # heights are not used
     power = focus_measures()[recipe.focus_measure].power
     each = [
-        (_widths_um(bench, peaks, power, frames.z_um), _peak_widths_um(bench, peaks, power, frames.step_um))
+        (_widths_um(bench, peaks, power, frames.z_um), _peak_widths_um(bench, peaks, power, frames.z_um))
         for bench, peaks in _tiles(frames, probe)
     ]
     widths_um, peak_widths_um = (np.concatenate(part) for part in zip(*each, strict=True))
@@ -180,7 +181,7 @@ def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
         assumed_um = max(step_um, depth_um)
         return FocusWidth(assumed_um, assumed_um, () if depth_um > 0 else (_NO_CURVES,))
     found_um = max(step_um, float(np.percentile(widths_um, FOCUS_WIDTH.percentile)))
-    peak_um = float(np.percentile(peak_widths_um, FOCUS_WIDTH.percentile))
+    peak_um = float(np.percentile(peak_widths_um, FOCUS_WIDTH.percentile)) if len(peak_widths_um) else step_um
     most_um = max(step_um, depth_um or _largest_depth_um(frames.pixel_um))
     if depth_um > 0 or found_um <= most_um:
         return FocusWidth(min(found_um, most_um), peak_um)
@@ -253,22 +254,25 @@ def _widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDArray[n
     return fall_um - rise_um
 
 
-def _peak_widths_um(bench: ThreadScratch, peaks: Peaks, power: float, step_um: float) -> NDArray[np.float64]:
+def _peak_widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the widths of the curves of a tile by the bend of their logarithm at the highest frame, over the lowest.
 
     A width between crossings of half the maximum reads one to two steps, by where the frames lie, for all curves that
-    are hardly wider than a step; this one changes by a tenth.
+    are hardly wider than a step; this one changes by a tenth. Curves at a gap between frames are left out.
     """
     textured = (peaks.contrast > FOCUS_WIDTH.least_contrast) & ~peaks.at_end
     levels = bench.curves.levels[:, textured].astype(np.float32) / 2**bench.spots.table.bits
     highest, index = levels.argmax(axis=0), np.arange(levels.shape[1])
-    inside = (highest > 0) & (highest < len(levels) - 1)
+    apart_um = np.diff(z_um, prepend=-np.inf, append=np.inf)
+    even = np.maximum(apart_um[:-1], apart_um[1:]) < LEAST_GAP * np.median(np.diff(z_um))
+    inside = even[highest]
     highest, index = highest[inside], index[inside]
     top = levels[highest, index]
     floor = np.exp2(levels.min(axis=0)[inside] - top)
     below, above = (np.maximum(np.exp2(levels[highest + k, index] - top) - floor, LEAST_BESIDE) for k in (-1, 1))
-    bend = 2 * np.log2(1 - floor) - np.log2(below) - np.log2(above)
-    return step_um * np.sqrt(4 * power / np.maximum(bend, LEAST_BEND))
+    down_um, up_um = apart_um[highest], apart_um[highest + 1]
+    fall = (np.log2(1 - floor) - np.log2(below)) / down_um + (np.log2(1 - floor) - np.log2(above)) / up_um
+    return np.sqrt(2 * power * (down_um + up_um) / np.maximum(fall, LEAST_BEND))
 
 
 _GIVE_APERTURE = (

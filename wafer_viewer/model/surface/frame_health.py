@@ -74,4 +74,4 @@ def interpolation_u_um(peak: str, step_um: float, peak_width_um: float) -> float
     """Return the standard uncertainty of a height from interpolation between frames; not for argmax, which has none."""
     if peak != "centred":
         return THREE_POINT_U * step_um
-    return step_um * float(np.interp(peak_width_um / step_um, PEAK_WIDTHS, CENTRED_U))
+    return float(np.interp(peak_width_um, step_um * np.array(PEAK_WIDTHS), step_um * np.array(CENTRED_U)))
