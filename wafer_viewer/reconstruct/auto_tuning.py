@@ -258,7 +258,7 @@ def _peak_widths_um(bench: ThreadScratch, peaks: Peaks, power: float, z_um: NDAr
     """Return the widths of the curves of a tile by the bend of their logarithm at the highest frame, over the lowest.
 
     A width between crossings of half the maximum reads one to two steps, by where the frames lie, for all curves that
-    are hardly wider than a step; this one changes by a tenth. Curves at a gap between frames are left out.
+    are hardly wider than a step; this one changes by a seventh. Curves at a gap between frames are left out.
     """
     textured = (peaks.contrast > FOCUS_WIDTH.least_contrast) & ~peaks.at_end
     levels = bench.curves.levels[:, textured].astype(np.float32) / 2**bench.spots.table.bits

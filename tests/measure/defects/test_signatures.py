@@ -11,7 +11,7 @@ from scipy import stats
 from wafer_viewer.measure.defects.signatures import signatures
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.inspection.lot import Signature, WaferDefect, WaferDefects
+from wafer_viewer.model.inspection.lot import DefectSignature, WaferDefect, WaferDefects
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 
@@ -63,7 +63,7 @@ def with_planted(seed: int, planted: np.ndarray) -> WaferDefects:
     return wafer(np.concatenate((at_random(N_RANDOM, np.random.default_rng(seed), dies()), planted)))
 
 
-def hits(found: Signature) -> tuple[int, int]:
+def hits(found: DefectSignature) -> tuple[int, int]:
     """Return how many planted and how many other defects a signature has."""
     planted = sum(number > N_RANDOM for number in found.numbers)
     return planted, len(found.numbers) - planted

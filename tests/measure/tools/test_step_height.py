@@ -16,10 +16,13 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.frame_health import FrameHealth
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.blending.stitched_mosaic import mosaic_provenance
+from wafer_viewer.reconstruct.comparison.compare import provenance_of
+from wafer_viewer.reconstruct.comparison.resampled_surface import ResampledMosaic
 from wafer_viewer.reconstruct.stitching import stitch
 
 UPPER = Region.rectangle(-150, -50, -40, 50)
@@ -143,6 +146,9 @@ def test_errors_between_frames_do_not_cancel_where_the_places_of_the_frames_are_
     assert budget_of(step_height(flat, LEFT, RIGHT))["interpolation between frames"] == pytest.approx(unknown)
     assert mosaic_provenance([surface.provenance] * 2, Recipe()).even_step_um == 0.0
     assert mosaic_provenance([surface.provenance], Recipe()).even_step_um == 4.0
+    assert provenance_of(surface.provenance, surface.provenance, ()).even_step_um == 0.0
+    moved = ResampledMosaic(surface, surface, Registration(z_um=1.3))
+    assert budget_of(step_height(moved, LEFT, RIGHT))["interpolation between frames"] == pytest.approx(unknown)
 
 
 def test_faces_tilted_against_each_other_are_reported():

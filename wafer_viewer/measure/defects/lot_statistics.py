@@ -16,12 +16,12 @@ from wafer_viewer.model.inspection.defect import DefectLimits, bins_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.lot import (
     SAME_PITCH,
+    DefectSignature,
     KillRatio,
     LotStatistics,
     ParetoBar,
     ParetoBy,
     Proportion,
-    Signature,
     WaferDefect,
     WaferDefects,
     WaferDensity,
@@ -85,8 +85,8 @@ def lot_statistics(
     ----------
     .. [1] C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
        binomial", Biometrika 26 (1934), 404-413.
-    .. [2] R. Ott et al., "An effective method to estimate defect limited yield impact on memory devices", IEEE/SEMI
-       Advanced Semiconductor Manufacturing Conference 1999, 87-91.
+    .. [2] O. D. Patterson, M. H. Hansen, "The impact of tolerance on kill ratio estimation for memory", IEEE
+       Transactions on Semiconductor Manufacturing 15 (2002), 404.
     .. [3] P. A. R. Koopman, "Confidence intervals for the ratio of two binomial proportions", Biometrics 40 (1984),
        513-517.
     """
@@ -149,7 +149,7 @@ def _notes(wafers: Sequence[WaferDefects], tested: bool, n_yields: int) -> Itera
         yield from wafer.notes
 
 
-def _signatures(wafers: Sequence[WaferDefects]) -> Iterator[Signature]:
+def _signatures(wafers: Sequence[WaferDefects]) -> Iterator[DefectSignature]:
     """Yield the signatures of each wafer, then those of all on one that has more than one."""
     searched = [wafer for wafer in wafers if is_searchable(wafer)]
     stack = [stacked_defects(searched)] if len(searched) > 1 else []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid
-from wafer_viewer.model.inspection.lot import Signature, SignatureKind, WaferDefects
+from wafer_viewer.model.inspection.lot import DefectSignature, SignatureKind, WaferDefects
 from wafer_viewer.model.region import Point
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ MOST_RESULTANT = 0.5
 """Largest mean resultant length of the directions in a ring; what lies on one side is none."""
 
 
-def signatures(wafer: WaferDefects, *, level: float = LEVEL, seed: int = 0) -> tuple[Signature, ...]:
+def signatures(wafer: WaferDefects, *, level: float = LEVEL, seed: int = 0) -> tuple[DefectSignature, ...]:
     """Find clusters, scratches, rings and edge concentrations that chance does not explain.
 
     Parameters
@@ -57,7 +57,7 @@ def signatures(wafer: WaferDefects, *, level: float = LEVEL, seed: int = 0) -> t
 
     Returns
     -------
-    tuple of Signature
+    tuple of DefectSignature
         The least likely first. A probability is that of a signature as clear anywhere on the wafer.
 
     Raises
@@ -379,13 +379,13 @@ def _smallest(null: Ints) -> Floats:
 # -------------------------------------------------------------------------------------------------------- signatures
 
 
-def _of_cluster(cluster: _Cluster, xy_um: Floats, numbers: Ints, domain: _Domain, rings: _Rings) -> Signature:
+def _of_cluster(cluster: _Cluster, xy_um: Floats, numbers: Ints, domain: _Domain, rings: _Rings) -> DefectSignature:
     members = xy_um[cluster.members]
     kind = _kind(members, domain, rings)
     center, axes = members.mean(axis=0), np.linalg.svd(members - members.mean(axis=0), full_matrices=False)[2]
     along, across = ((members - center) @ axis for axis in axes)
     angle_deg = math.degrees(math.atan2(axes[0, 1], axes[0, 0]) + domain.grid.angle_rad) % 180
-    return Signature(
+    return DefectSignature(
         kind=kind,
         numbers=_sorted(numbers[cluster.members]),
         center=domain.to_stage(center),
@@ -413,11 +413,11 @@ def _kind(xy_um: Floats, domain: _Domain, rings: _Rings) -> SignatureKind:
     return "scratch" if is_line else "cluster"
 
 
-def _of_ring(ring: _Ring, xy_um: Floats, numbers: Ints, domain: _Domain, rings: _Rings) -> Signature:
+def _of_ring(ring: _Ring, xy_um: Floats, numbers: Ints, domain: _Domain, rings: _Rings) -> DefectSignature:
     inside = _in_ring(xy_um, domain, rings, ring)
     kind: SignatureKind = "edge" if ring.end == BINS else "center" if ring.first == 0 else "ring"
     outer_um = float(rings.radii_um[ring.end]) if ring.end < BINS else float(domain.radii(xy_um).max())
-    return Signature(
+    return DefectSignature(
         kind=kind,
         numbers=_sorted(numbers[inside]),
         center=domain.to_stage(domain.center_um),

@@ -246,7 +246,7 @@ class KillRatio(Spec, frozen=True, kw_only=True):
 SignatureKind = Literal["cluster", "scratch", "ring", "edge", "center"]
 
 
-class Signature(Spec, frozen=True, kw_only=True):
+class DefectSignature(Spec, frozen=True, kw_only=True):
     """Defects of a wafer that lie together as they do not by chance.
 
     numbers: of the defects; center: of a group, or of the wafer for a ring; length_um, width_um, angle_deg: extent of a
@@ -283,7 +283,7 @@ class LotStatistics(Spec, frozen=True, kw_only=True):
     good: Proportion | None = None
     good_by: str = ""
     kill_ratios: tuple[KillRatio, ...] = ()
-    signatures: tuple[Signature, ...] = ()
+    signatures: tuple[DefectSignature, ...] = ()
     simulated: bool = False
     notes: tuple[str, ...] = ()
 

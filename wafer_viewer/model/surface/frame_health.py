@@ -23,7 +23,7 @@ PEAK_WIDTHS = (1.0, 1.15, 1.25, 1.35, 1.45, 1.55, 1.7, 1.9, 2.3, 4.0)
 CENTRED_U = (0.12, 0.1, 0.08, 0.06, 0.038, 0.022, 0.011, 0.006, 0.004, 0.003)
 """Standard uncertainty of one height, in z steps, for centred peaks: tests/bench/bench_phase.py.
 
-Rms of lenses of rays, whose curves are narrower and less round than those of waves: those have up to a third of it.
+Rms of lenses of rays, whose curves are narrower and less round than those of waves.
 """
 THREE_POINT_U = 0.03
 """The same for peaks through three points, rms of the blur law at any step up to a depth of field."""

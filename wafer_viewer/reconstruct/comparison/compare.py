@@ -199,6 +199,7 @@ def provenance_of(first: Provenance, second: Provenance, notes: tuple[str, ...])
         software_version=__version__,
         input_checksum=joint,
         simulated=first.simulated or second.simulated,
+        even_step_um=0.0,
         notes=notes,
     )
 

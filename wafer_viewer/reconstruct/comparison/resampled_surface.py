@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.height_map import AsArray, HeightMap, Mosaic, Origin, Outline, Provenance, pixel_window
 
@@ -98,8 +99,8 @@ class ResampledMosaic(AsArray):
 
     @property
     def provenance(self) -> Provenance:
-        """Provenance of the second surface."""
-        return self.second.provenance
+        """Provenance of the second surface, whose heights were moved from their places between frames."""
+        return replace(self.second.provenance, even_step_um=0.0)
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """Return the part of a level of the first's lattice that holds a region.
