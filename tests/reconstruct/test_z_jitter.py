@@ -9,6 +9,7 @@ import pytest
 
 import wafer_viewer as wv
 from tests.reconstruct.conftest import MakeStack
+from tests.truth.families import family_scene
 from wafer_viewer.measure.base.measurement_context import FLICKER, Z_JITTER, frame_lines_um
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.frame_health import FrameHealth, jitter_u_um
@@ -67,6 +68,14 @@ def test_frames_out_of_order_are_not_taken_for_vibration(make_stack: MakeStack, 
     assert len(told) == 1
     assert f"in another order, {right} (frames from 1)" in told[0]
     assert not any("vibration" in note for note in surface.provenance.notes)
+
+
+def test_frames_in_order_that_pass_the_focus_in_few_steps_are_not_put_in_another():
+    scene = family_scene("metal", 4)  # cut in the middle, the frames that change most would be at the ends
+    surface = reconstruct(scene.stack, threads=1)
+    assert not any("order of their z" in note for note in surface.provenance.notes)
+    right = np.abs(surface.to_measure() - scene.truth_um) <= scene.right_um
+    assert right.mean() > 0.8
 
 
 def test_a_mosaic_has_the_worst_of_its_fields():
