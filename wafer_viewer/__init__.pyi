@@ -6,6 +6,8 @@ from .measure.defects.adders import adders as adders
 from .measure.defects.defect_builder import repeated_places as repeated_places
 from .measure.defects.inspection import golden_of_surface as golden_of_surface
 from .measure.defects.inspection import inspect as inspect
+from .measure.defects.learned_classes import judged_defects as judged_defects
+from .measure.defects.learned_classes import with_learned_classes as with_learned_classes
 from .measure.defects.lot_statistics import lot_statistics as lot_statistics
 from .measure.defects.lot_statistics import stacked_defects as stacked_defects
 from .measure.defects.signatures import signatures as signatures

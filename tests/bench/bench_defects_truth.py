@@ -2,6 +2,7 @@
 
     python tests/bench/bench_defects_truth.py [--quick] [--wafers N] [--seed N] [--keep FILE] [--sensitivity N]
     python tests/bench/bench_defects_truth.py --paper FOLDER/wafer.wafer     of `wafer-viewer paper --keep FOLDER`
+    python tests/bench/bench_defects_truth.py --learn [--wafers N] [--seed N]      classes proposed from judgements
     python tests/bench/bench_defects_truth.py --speed        9 and 165 Mpx: seconds and memory
 
 Focus stacks rendered through the virtual optics, reconstructed with the default recipe, laid side by side, inspected
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.bench.defects_learning import show_learning
 from tests.bench.defects_paper import show_paper
 from tests.bench.defects_record import Hit, Wafer, recorded
 from tests.bench.defects_speed import show_speed
@@ -38,9 +40,9 @@ QUICK = Plan(cols=5, rows=4)
 
 
 def main() -> None:
-    given = read_options(
-        __doc__, wafers=20, seed=int, keep=Path, sensitivity=DefectRecipe().sensitivity, paper=Path, speed=False
-    )
+    switches = {"speed": False, "learn": False}
+    dial = DefectRecipe().sensitivity
+    given = read_options(__doc__, wafers=20, seed=int, keep=Path, sensitivity=dial, paper=Path, **switches)
     if given.paper:
         show_paper(given.paper)
     elif given.speed:
@@ -50,6 +52,9 @@ def main() -> None:
         plans = [Plan(seed=first + n) for n in range(given.wafers)]
         quick = [Plan(cols=QUICK.cols, rows=QUICK.rows, seed=first)]
         recipe = DefectRecipe(sensitivity=given.sensitivity)
+        if given.learn:
+            show_learning(quick if given.quick else plans)
+            return
         show_all(inspected(quick if given.quick else plans, given.keep, recipe), first)
 
 

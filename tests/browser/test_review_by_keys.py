@@ -116,6 +116,27 @@ def test_a_hundred_defects_are_judged_with_a_hundred_keys(page: Page, session: S
     assert notes(page).count() == 0
 
 
+def test_classes_are_proposed_from_judgements_and_one_key_agrees(page: Page, session: Session):
+    larger, smaller = tuple(range(1, 50, 8)), tuple(range(52, N_DEFECTS, 8))
+    session.defects.judge(larger, "real", "residue").result(WORK_S)
+    session.defects.judge(smaller, "nuisance").result(WORK_S)
+    page.keyboard.press("Shift+R")
+    page.get_by_text("Propose classes", exact=True).click()
+    stands_on = f"Proposed from {len(larger) + len(smaller)} judged defects of this inspection"
+    expect(page.locator(".wv-defect-facts, .wv-sub").filter(has_text=stands_on).first).to_be_visible(timeout=60_000)
+    expect(page.locator(".wv-segments .on", has_text="Doubt")).to_be_visible()
+    open_ones = [d for d in session.snapshot.inspection.defects if d.judgement == "open"]
+    first = min(open_ones, key=lambda d: (d.learned.share, d.number))
+    title_is(page, f"D{first.number} · Particle")
+    expect(page.locator(".wv-learned")).to_contain_text("of the votes")
+    press(session, page, "Alt+y", first.number, judgement="nuisance" if first.learned.kind == "nuisance" else "real")
+    assert of(session, first.number).seen_as == ("particle" if first.learned.kind == "nuisance" else "residue")
+    proposed = {d.number: d.learned.kind for d in open_ones}
+    assert {proposed[n] for n in range(2, 41) if n in proposed} == {"residue"}
+    assert {proposed[n] for n in range(61, 101) if n in proposed} == {"nuisance"}
+    assert notes(page).count() == 0
+
+
 def press(session: Session, page: Page, key: str, number: int, **then: str) -> None:
     """Press a key and wait until a defect is what it made of it."""
     page.keyboard.press(key)

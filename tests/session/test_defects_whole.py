@@ -9,12 +9,15 @@ import pytest
 
 from tests.support.noisy_wafer import Planted, wafer
 from tests.support.patience import PATIENCE_S
+from wafer_viewer.measure.defects.learned_classes import judged_defects
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.klarf import KlarfExport
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
 from wafer_viewer.store.records.golden_dies import open_golden
+from wafer_viewer.store.records.inspection_records import read_judged, save_judged
 from wafer_viewer.store.tables.klarf import read_klarf
 
 pytestmark = pytest.mark.slow
@@ -82,6 +85,28 @@ def test_a_golden_die_and_a_recipe_serve_the_next_inspection(inspected, made):
     assert found.reference == "golden"
     judged = session.snapshot.inspection.inspection.found
     assert {"real", "nuisance"} <= {defect.judgement for defect in judged}
+
+
+def test_judgements_kept_with_the_product_propose_classes_at_the_next_inspection(inspected, made):
+    session, path = inspected
+    with pytest.raises(MeasureError, match="at least 8 judged defects"):
+        session.defects.propose_classes().result(PATIENCE_S)
+    found = session.snapshot.inspection.inspection
+    own = judged_defects(found, made.surface, wafer="w7/default")
+    others = tuple(replace(own.defects[n % 2], wafer="w6/default", number=n) for n in range(10))
+    save_judged(path.parent, replace(own, defects=others))
+    proposed = session.defects.propose_classes().result(PATIENCE_S)
+    assert (proposed.learned.judged, proposed.learned.wafers) == (12, 2)
+    assert session.snapshot.inspection.inspection.learned == proposed.learned
+    kept = read_judged(path.parent, "LX-7").defects
+    assert [(d.wafer, d.kind) for d in kept[10:]] == [("w7/default", "residue"), ("w7/default", "nuisance")]
+    again = session.defects.inspect(RECIPE, made.grid).result(PATIENCE_S)
+    assert again.learned is not None
+    assert {defect.learned.kind for defect in again.found} <= {"residue", "nuisance"}
+    next((path.parent / "recipes").glob("*.judged.json")).write_text("{}", encoding="utf-8")
+    damaged = session.defects.inspect(RECIPE, made.grid).result(PATIENCE_S)
+    assert damaged.learned is None
+    assert any("No classes are proposed from judgements" in note for note in damaged.notes)
 
 
 def test_a_golden_die_of_another_product_is_refused(inspected, made):

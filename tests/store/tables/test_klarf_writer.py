@@ -17,12 +17,12 @@ from tests.support.datasets.samples import make_surface
 from tests.support.random_klarf import random_klarf
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.inspection.defect import crop
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
 from wafer_viewer.model.inspection.klarf import Klarf, KlarfExport, KlarfImage
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.tables.klarf import read_klarf
 from wafer_viewer.store.tables.klarf_writer import KlarfVersion, write_klarf
-from wafer_viewer.store.tables.training_set import crop
 
 SAMPLE = Sample(lot="L-204", wafer_id="W07", product="LX-7", slot=7, notch="left", width_um=100_000.0)
 FOUND = inspection(

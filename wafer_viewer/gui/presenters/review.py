@@ -25,6 +25,7 @@ from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect, Evidence
 from wafer_viewer.model.inspection.defect import Judgement as DefectJudgement
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable
+from wafer_viewer.model.inspection.learned_classes import NUISANCE
 from wafer_viewer.model.job import (
     FeatureVerdict,
     Job,
@@ -244,6 +245,15 @@ def _below(defect: Defect, table: ClassTable) -> str:
     proposed = f"proposed: {table[defect.kind].title.lower()}"
     by = proposed if defect.judged_kind is not None else f"proposed with {number(defect.confidence, 2)}"
     return f"{where} · {place} · {by}"
+
+
+def learned_text(defect: Defect, table: ClassTable) -> str:
+    """Return the class that judgements propose with its share of the votes; empty without one, or once judged."""
+    if defect.learned is None or defect.judgement != "open":
+        return ""
+    kind = defect.learned.kind
+    title = JUDGED["rejected"] if kind == NUISANCE else table[kind].title.lower()
+    return f"{title}, {100 * defect.learned.share:.0f} % of the votes"
 
 
 def _reason(defect: Defect) -> str:

@@ -34,7 +34,7 @@ from wafer_viewer.session.state.snapshot import Fault
 # ----------------------------------------------------------------------------------------------------------- view state
 
 
-DefectSort = Literal["size", "height", "score", "die", "class"]
+DefectSort = Literal["size", "height", "score", "die", "class", "doubt"]
 MapBy = Literal["class", "count"] | DieNumber
 CLASS_TITLES = {"": "All"} | {kind: look.title for kind, look in DEFECT_CLASSES.items()}
 
@@ -95,6 +95,11 @@ def _rank(die: str) -> tuple[int, ...]:
     return (0, -parts[1], parts[0]) if parts else (1,)
 
 
+def _share(defect: Defect) -> float:
+    """Return the share of votes for the proposed class of an open defect; others come last."""
+    return defect.learned.share if defect.learned is not None and defect.judgement == "open" else 2.0
+
+
 def _die(defect: Defect) -> tuple[tuple[int, ...], int]:
     return _rank(defect.die), defect.number
 
@@ -105,6 +110,7 @@ SORTS: dict[DefectSort, tuple[str, Callable[[Defect], Any]]] = {
     "score": ("Score", lambda defect: (-defect.score, defect.number)),
     "die": ("Die", _die),
     "class": ("Class", lambda defect: (defect.seen_as, -defect.major.value_um, defect.number)),
+    "doubt": ("Doubt", lambda defect: (_share(defect), defect.number)),
 }
 """Title on the page and ascending sort key, by name."""
 

@@ -18,10 +18,12 @@ from wafer_viewer.model.inspection.defect_classes import (
     require_distinct,
 )
 from wafer_viewer.model.inspection.die_grid import DIE_UNITS, LEAST_KNOWN, DieGrid, DieNumber, DieStatus
+from wafer_viewer.model.inspection.learned_classes import ClassesLearned, LearnedClass
 from wafer_viewer.model.measurement.measurements import MeasurementResult
 from wafer_viewer.model.quantity import Length, Quantity, Word
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Count, Fraction, NonNegative, Spec, Within, replace
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 
 # --------------------------------------------------------------------------------------------------------------- defect
 
@@ -128,7 +130,7 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     height: peak difference from the reference, negative for pits; mean_height_um: mean over its area; score: peak
     signal over the local noise; scale_px: of the filter with the best score, for a disc its diameter; size_resolved:
     False under 20 px ("detected, size not resolved"). judged_kind: the operator's class, which overrides `kind`;
-    judged_at: its time (ISO 8601).
+    judged_at: its time (ISO 8601). learned: the class that judgements of other defects propose.
     """
 
     center: Point
@@ -157,11 +159,26 @@ class Defect(MeasurementResult, frozen=True, kw_only=True, tag="defect"):
     note: str = ""
     judged_by: str = ""
     judged_at: str = ""
+    learned: LearnedClass | None = None
 
     @property
     def seen_as(self) -> str:
         """Effective class: the operator's if set, which may be one of the fab's table."""
         return self.judged_kind or self.kind
+
+
+MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
+"""Margin around a defect as a share of its length; least and greatest side of the crop in px."""
+
+
+def crop(surface: Mosaic, defect: Defect) -> HeightMap:
+    """Return the square about a defect of twice its longer extent, at least 32 and at most 512 px."""
+    x0, y0, x1, y1 = defect.outline.bounds_um
+    px = surface.pixel_um
+    across = (1 + MARGIN) * max(x1 - x0, y1 - y0)
+    half = min(max(across, LEAST_PX * px), MOST_PX * px) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return surface.window(Region.rectangle(x - half, y - half, x + half, y + half))
 
 
 class FalseCounts(Spec, frozen=True, kw_only=True):
@@ -193,7 +210,8 @@ class Inspection(Spec, frozen=True, kw_only=True):
 
     reference: what the surface was compared with; inspected_mm2: area measured and compared, where an empty list means
     no defects; unmeasured_mm2: area without heights; not_scanned_mm2: unscanned part of the surface's rectangle, for
-    inspections without dies. A die that is not or only partly scanned is never clean.
+    inspections without dies; learned: what proposals of classes stand on. A die that is not or only partly scanned is
+    never clean.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -213,6 +231,7 @@ class Inspection(Spec, frozen=True, kw_only=True):
     product: str = ""
     simulated: bool = False
     notes: tuple[str, ...] = ()
+    learned: ClassesLearned | None = None
 
     @property
     def inspected_fraction(self) -> float:

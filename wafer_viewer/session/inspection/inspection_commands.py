@@ -119,6 +119,16 @@ class DefectController:
             self._history.put(replace(inspection, defects=defects))
             self._save()
 
+    @command
+    def propose_classes(self) -> Future[Inspection]:
+        """Propose classes for open defects from the judged ones, of this surface and of the product's other wafers."""
+        from wafer_viewer.session.inspection.inspection_files import learn_classes
+
+        self._require_writable()
+        self._holding(set())
+        arguments = (self._library.dataset.path, self._library.result_name)
+        return self._background.run("Propose classes", learn_classes, *arguments, ended=self._proposed).done
+
     @command.audited("Defect limits changed")
     def limit(self, limits: DefectLimits) -> None:
         """Set the allowed number of defects per die and per wafer; `verdict_of` compares the inspection with them."""
@@ -166,6 +176,17 @@ class DefectController:
             except WaferViewerError as fault:
                 self._problem, self._dies_missing = str(fault), isinstance(fault, DiesNotFound)
         self._show()
+
+    def _proposed(self, done: Future[Inspection]) -> None:
+        """Add proposals to the defects that are still open; a failure is reported to whoever asked for them."""
+        inspection = self._history.value
+        if inspection is None or done.cancelled() or done.exception() is not None:
+            return
+        if (new := done.result()).mark == inspection.mark:
+            learned = {defect.number: defect.learned for defect in new.defects}
+            defects = tuple(replace(d, learned=learned.get(d.number, d.learned)) for d in inspection.defects)
+            self._history.put(replace(inspection, defects=defects, learned=new.learned))
+            self._save()
 
     def _take_over(self, new: Inspection) -> None:
         """Store the inspection, with earlier judgements of the same places carried over."""

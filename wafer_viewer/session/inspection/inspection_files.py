@@ -299,6 +299,29 @@ def keep_golden(
     return save_golden(golden, dataset.parent / FOLDER / name)
 
 
+def learn_classes(
+    dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> Inspection:
+    """Propose classes for the open defects of a dataset; nothing of its inspection is stored.
+
+    Its judged defects are kept next to the dataset, with those of the product's other wafers, if it has a product.
+
+    Raises DatasetError if this surface was not inspected, or a file cannot be read or written; MeasureError with too
+    few judged defects, or without scikit-learn.
+    """
+    from wafer_viewer.measure.defects.learned_classes import judged_defects, of_others, with_learned_classes
+    from wafer_viewer.store.records.inspection_records import read_judged, save_judged
+
+    wafer, inspection = _inspected(dataset, result, same_surface=True)
+    name = f"{dataset.stem}/{result}"
+    others = of_others(read_judged(dataset.parent, inspection.product), name)
+    proposed = with_learned_classes(inspection, wafer.surface, (others,))
+    if inspection.product:
+        own = judged_defects(inspection, wafer.surface, wafer=name)
+        save_judged(dataset.parent, replace(own, defects=(*others.defects, *own.defects)))
+    return proposed
+
+
 def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer, Inspection]:
     """Return the surface and its inspection; same_surface: require that this very surface was inspected."""
     from wafer_viewer.session.inspection.inspection_job import mosaic_mark, wafer_of

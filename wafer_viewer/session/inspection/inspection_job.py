@@ -336,7 +336,19 @@ def inspect_dataset(
             should_stop=should_stop,
             rows_by=RowHands.of(crew or LocalRunner(), data.path, stored.path, should_stop),
         )
-    return replace(inspection, mark=mark)
+    return with_classes_of_product(replace(inspection, mark=mark), surface, dataset.parent)
+
+
+def with_classes_of_product(inspection: Inspection, surface: Mosaic, folder: Path) -> Inspection:
+    """Propose classes from the judged defects of the product, if there are any; a note says why it is not possible."""
+    from wafer_viewer.measure.defects.learned_classes import with_learned_classes
+    from wafer_viewer.store.records.inspection_records import read_judged
+
+    try:
+        judged = read_judged(folder, inspection.product)
+        return with_learned_classes(inspection, surface, (judged,)) if judged.defects else inspection
+    except WaferViewerError as fault:
+        return replace(inspection, notes=(*inspection.notes, f"No classes are proposed from judgements: {fault}"))
 
 
 @contextmanager
@@ -441,7 +453,10 @@ def inspected(
             progress=tell,
             rows_by=rows_by,
         )
-    return inspection if wafer.before is None else carry_over(wafer.before, inspection)
+    if wafer.before is not None:
+        inspection = carry_over(wafer.before, inspection)
+    folder = wafer.lies_in[0].parent if wafer.lies_in is not None else None
+    return inspection if folder is None else with_classes_of_product(inspection, wafer.surface, folder)
 
 
 @contextmanager

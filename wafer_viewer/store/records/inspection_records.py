@@ -1,4 +1,4 @@
-"""Records of inspection: recipes by product, ``defects.json``, and ``notebook.json``."""
+"""Records of inspection: recipes and judged defects by product, ``defects.json``, and ``notebook.json``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.defect_classes import FabClasses, require_distinct
+from wafer_viewer.model.inspection.learned_classes import JudgedDefects
 from wafer_viewer.model.job import Notebook
 from wafer_viewer.model.spec import Spec, decode, encode, replace
 from wafer_viewer.store.io.atomic_files import make_folder, os_errors_as_dataset_errors, remove, write_text
@@ -171,6 +172,47 @@ def _existing(folder: Path, recipe: DefectRecipe) -> Path:
 def _plain(name: str) -> str:
     """Return a name reduced to valid characters of a file name."""
     return re.sub(r"[^\w.+-]+", "-", name.strip())
+
+
+JUDGED = ".judged.json"
+
+
+def read_judged(folder: Path, product: str) -> JudgedDefects:
+    """Read the judged defects of a product; none without a product or a file.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the datasets.
+    product : str
+        Name of the product; may be empty.
+
+    Returns
+    -------
+    JudgedDefects
+        Judged defects of all of its inspections.
+
+    Raises
+    ------
+    DatasetError
+        When the file is unreadable, or that of another product.
+    """
+    path = folder / FOLDER / f"{_plain(product)}{JUDGED}"
+    if not product.strip() or not path.exists():
+        return JudgedDefects(product=product)
+    judged = load_record(path, JudgedDefects)
+    if judged.product != product:
+        raise DatasetError(f"{path.name} holds judged defects of {judged.product}: rename the product or the file.")
+    return judged
+
+
+def save_judged(folder: Path, judged: JudgedDefects) -> Path:
+    """Save the judged defects of a product, in place of those before. Raises DatasetError as `read_judged`."""
+    read_judged(folder, judged.product)
+    path = folder / FOLDER / f"{_plain(judged.product)}{JUDGED}"
+    make_folder(path.parent)
+    save_record(path, judged)
+    return path
 
 
 DEFECTS = "defects.json"

@@ -17,13 +17,12 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect import Defect, Inspection, crop
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.inspection.klarf import BINS, UM_PER_MM, KlarfExport, KlarfImage
 from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.store.io.atomic_files import atomic_write, write_text
 from wafer_viewer.store.tables.klarf import SIMULATED, SUMMARY_COLUMNS
-from wafer_viewer.store.tables.training_set import crop
 
 KlarfVersion = Literal["1.2", "1.8"]
 ColumnKind = Literal["count", "length", "area"]

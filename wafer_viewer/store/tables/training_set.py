@@ -14,14 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.inspection.defect import Defect, Inspection
-from wafer_viewer.model.region import Region
+from wafer_viewer.model.inspection.defect import Defect, Inspection, crop
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.store.io.atomic_files import atomic_write, require_free
 from wafer_viewer.store.tables.csv_tables import TableWriter
 
-MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
-"""Margin around a defect as a share of its length; least and greatest side of the crop in px."""
 COLUMNS = (
     *("number", "heights", "picture", "class", "class by rules", "judgement", "judged by", "judged at", "die"),
     *("height_um", "mean_height_um", "major_um", "minor_um", "angle_deg", "area_um2", "volume_um3", "score"),
@@ -91,16 +88,6 @@ def _write_one(folder: Path, surface: Mosaic, defect: Defect) -> list[object]:
     description.add_text("Description", f"{'SIMULATED. ' if defect.simulated else ''}All-in-focus image of a defect.")
     Image.fromarray(cut.all_in_focus).save(folder / f"{name}.png", pnginfo=description)
     return [*_names(defect, name), *_features(defect), *_lattice(cut), "SIMULATED" if defect.simulated else ""]
-
-
-def crop(surface: Mosaic, defect: Defect) -> HeightMap:
-    """Return the square about a defect of twice its longer extent, at least 32 and at most 512 px."""
-    x0, y0, x1, y1 = defect.outline.bounds_um
-    px = surface.pixel_um
-    across = (1 + MARGIN) * max(x1 - x0, y1 - y0)
-    half = min(max(across, LEAST_PX * px), MOST_PX * px) / 2
-    x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    return surface.window(Region.rectangle(x - half, y - half, x + half, y + half))
 
 
 def _names(defect: Defect, name: str) -> Iterator[object]:

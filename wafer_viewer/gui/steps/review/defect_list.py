@@ -388,6 +388,7 @@ def _facts(inspection: Inspection) -> list[str]:
         f"{words}{n_found} on {number(area, 2)} mm²{density} · compared with {REFERENCES[inspection.reference]}",
         f"Over {number(inspection.threshold_sigma, 1)} times the noise; expected to be false by noise alone: "
         f"{per_mm2(inspection.expected_false_per_mm2)}",
+        *((inspection.learned.words,) if inspection.learned is not None else ()),
         *inspection.notes,
     ]
 

@@ -407,10 +407,25 @@ class Errand:
     ask: Callable[[Page], None]
 
 
+PROPOSE, NOT_PROPOSED = "Propose classes from judgements", "No classes were proposed"
+
+
+def propose_classes(page: Page) -> None:
+    """Propose classes for the open defects from the judged ones, and list them with the least certain first."""
+
+    def tell(inspection: Inspection) -> None:
+        if inspection.learned is not None:
+            page.change(defects=replace(page.view.defects, sort="doubt"), review=None)
+            page.say("Classes are proposed, the least certain first", f"{inspection.learned.words} Alt + Y agrees.")
+
+    page.ask(NOT_PROPOSED, page.session.defects.propose_classes(), tell)
+
+
 ERRANDS: dict[str, Errand] = {
     "export": Errand("Export the defects…", "Export…", NOT_EXPORTED, viser.Icon.DOWNLOAD, export_defects_dialog),
     "golden": Errand("Keep as golden die…", "Golden die…", NOT_GOLDEN, viser.Icon.DIAMOND, golden_dialog),
     "classes": Errand("Class table…", "Classes…", NOT_CLASSES, viser.Icon.TAGS, classes_dialog),
+    "learn": Errand(PROPOSE, "Propose classes", NOT_PROPOSED, viser.Icon.BULB, propose_classes),
     "klarf": Errand("Overlay a KLARF file…", "Overlay KLARF…", NOT_OVERLAID, viser.Icon.STACK_2, klarf_dialog),
 }
 """Commands in the header of the defect list and in the command palette."""

@@ -19,6 +19,7 @@ from wafer_viewer.gui.presenters.review import (
     JUDGEMENT_OF,
     ReviewItem,
     alike,
+    chosen_defect,
     chosen_item,
     classes_of,
     first_changed,
@@ -30,6 +31,7 @@ from wafer_viewer.gui.presenters.review import (
 from wafer_viewer.gui.state.view_state import View, listed
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.model.inspection.defect_classes import CLASS_KEYS, DEFECT_CLASSES, ClassTable
+from wafer_viewer.model.inspection.learned_classes import NUISANCE
 from wafer_viewer.model.job import Verdict
 from wafer_viewer.model.spec import replace as with_fields
 from wafer_viewer.session.state.snapshot import Snapshot
@@ -107,6 +109,17 @@ class Review:
         """Judge the defect as real, of a class, and go on to the next."""
         if (item := self.item) is not None and item.defect is not None:
             self._begin(self.page.session.defects.judge(item.defect, "real", kind))
+
+    def as_learned(self) -> None:
+        """Judge the defect as the judgements of others propose, and go on to the next."""
+        page, item = self.page, self.item
+        defect = chosen_defect(page.session.snapshot, item.key) if item is not None else None
+        if defect is None or defect.learned is None:
+            page.say("No class is proposed here from judgements", "Judge some defects, then press Propose classes.")
+        elif defect.learned.kind == NUISANCE:
+            self.judge("rejected")
+        else:
+            self.classify(defect.learned.kind)
 
     def judge_alike(self, verdict: Verdict, kind: str | None = None) -> None:
         """Judge the selected defects, else all open ones of the class under review, and go on."""
@@ -236,6 +249,7 @@ def review_commands(review: Review) -> list[Command]:
         Command("Note…", "enter", review.ask_note, icon.NOTE, "shift", group="Review"),
         *with_precondition(
             no_defect,
+            Command("As proposed from judgements", "Y", review.as_learned, icon.BULB, "alt", "Review", here=on_defect),
             Command("Pictures or gallery", "Z", review.look_elsewhere, icon.LAYOUT_GRID, group="Review"),
             Command("Defects in 3D", None, partial(review.look, "none"), icon.CUBE, group="Review"),
             *(

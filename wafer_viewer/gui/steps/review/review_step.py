@@ -23,6 +23,7 @@ from wafer_viewer.gui.presenters.review import (
     chosen_defect,
     chosen_item,
     classes_of,
+    learned_text,
     review_items,
 )
 from wafer_viewer.gui.scenes.surface_scene import source_of
@@ -64,7 +65,11 @@ def review_step(here: Here[Review]) -> Elements | None:
             failed=NOT_NOTED,
             pause_s=COMMIT_S,
         ),
-        Html(Markup('<div class="wv-judging">{}{}</div>').format(_state(here, item), classes(defect, table))),
+        Html(
+            Markup('<div class="wv-judging">{}{}{}</div>').format(
+                _state(here, item), _learned(defect, table), classes(defect, table)
+            )
+        ),
         Buttons(_judgements(here, defect is not None), 34, at_foot=True, key=defect is not None),
         Button("Next", lambda: review.step(1), viser.Icon.ARROW_RIGHT, "leading", failed="The item was not changed"),
     ]
@@ -76,6 +81,7 @@ REVIEW_PICKS: Picks[Review] = {
     "review-filter": lambda here, key: here.page.change(review_filter=key),
     "review-reopen": lambda here, _: here.own.reopen(),
     "defect-class": lambda here, kind: here.own.classify(kind),
+    "defect-learned": lambda here, _: here.own.as_learned(),
     "sheet": lambda here, sheet: here.own.look(sheet),
     "pane": lambda here, pane: here.page.change(pane=pane),
     "compared": lambda here, what: here.page.change(compared=what),
@@ -139,6 +145,14 @@ def classes(defect: Defect | None, table: ClassTable = DEFECT_CLASSES) -> Markup
         for look in table.offered
     )
     return Markup('<div class="wv-classes">{}</div>').format(Markup("").join(tiles))
+
+
+def _learned(defect: Defect | None, table: ClassTable) -> Markup:
+    """Return the class that judgements propose, with the link that agrees."""
+    if defect is None or not (text := learned_text(defect, table)):
+        return Markup()
+    agrees = html.command_link("agree (Alt + Y)", "defect-learned", action="Defects judged")
+    return Markup('<div class="wv-lab wv-learned">From judgements: {} · {}</div>').format(text, agrees)
 
 
 def numbers_of(item: ReviewItem) -> Markup:
