@@ -7,9 +7,11 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.steps import eventually, notes, press, text_field, type_into
+from tests.browser.steps import eventually, notes, press, text_field, title_is, type_into
+from tests.support.datasets.inspections import written_klarf
 from tests.support.noisy_wafer import Planted, wafer
 from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
 from wafer_viewer.store.records.golden_dies import open_golden
@@ -87,6 +89,32 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     type_into(page, "Path", str(path))
     dialog.get_by_role("button", name="Overlay", exact=True).click()
     expect(page.get_by_text(f"{n} places of another tool: {n} found here too, 0 not.")).to_be_visible()
+    assert notes(page).count() == 0
+
+
+def test_adders_since_an_earlier_klarf_are_listed_alone(session: Session, page: Page):
+    found = session.snapshot.inspection.inspection
+    assert found is not None
+    new = found.found[0]
+    earlier = replace(found, defects=tuple(d for d in found.defects if d.number != new.number))
+    path = written_klarf(earlier, session.snapshot.data_folder / "before.klarf")
+    page.keyboard.press("Shift+R")
+    page.locator("[data-pick=defect-errand][data-k=earlier]").press("Enter")
+    dialog = page.get_by_role("dialog")
+    type_into(page, "Path", str(path))
+    dialog.get_by_role("button", name="Compare", exact=True).click()
+    expect(dialog).to_have_count(0)
+    expect(page.get_by_text(f"1 added · 0 removed · {len(earlier.found)} common")).to_be_visible()
+    expect(page.locator(".wv-alone")).to_contain_text("1 since before.klarf alone")
+    expect(page.locator(".wv-defects tr")).to_have_count(1)
+    title_is(page, f"D{new.number} · {new.kind.capitalize()}")
+    page.locator("[data-pick=defect-all]").press("Enter")
+    expect(page.locator(".wv-alone")).to_have_count(0)
+    page.locator("[data-pick=defect-added]").press("Enter")
+    expect(page.locator(".wv-alone")).to_contain_text("1 since before.klarf alone")
+    page.keyboard.press("Escape")
+    page.locator("[data-pick=defect-earlier-away]").press("Enter")
+    expect(page.get_by_text("Since before.klarf")).to_have_count(0)
     assert notes(page).count() == 0
 
 

@@ -29,8 +29,9 @@ from wafer_viewer.session.session_restore import KEPT_IN
 
 Order = Literal["date", "name", "size"]
 KindName = Literal[
-    "dataset", "images", "plan", "job", "certificate", "classes", "klarf", "wafers", "surface", "study", "golden", "any"
-]
+    "dataset", "images", "plan", "job", "certificate", "classes", "klarf", "inspected", "wafers", "surface", "study",
+    "golden", "any",
+]  # fmt: skip
 PAGE = 200
 """Number of entries listed at first; more are listed on request."""
 MOST_ENTRIES = 20_000
@@ -54,6 +55,7 @@ class FileKind:
     several: bool = False
 
 
+KLARF_ENDINGS = (".klarf", ".klf", ".kla", ".txt", *(f".{n:03d}" for n in range(10)))
 FILE_KINDS: dict[KindName, FileKind] = {
     "dataset": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),
     "images": FileKind("Images and surface files", (*IMAGE_ENDINGS, *READ), takes_folder=True, several=True),
@@ -61,7 +63,8 @@ FILE_KINDS: dict[KindName, FileKind] = {
     "job": FileKind("Released jobs", (".toml",)),
     "certificate": FileKind("Certificates", (".toml", ".xml")),
     "classes": FileKind("Class tables", (".toml",)),
-    "klarf": FileKind("KLARF files", (".klarf", ".klf", ".kla", ".txt", *(f".{n:03d}" for n in range(10)))),
+    "klarf": FileKind("KLARF files", KLARF_ENDINGS),
+    "inspected": FileKind("Datasets and KLARF files", (DATASET_ENDING, *KLARF_ENDINGS)),
     "wafers": FileKind("Datasets", (DATASET_ENDING,), takes_folder=True),
     "surface": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),
     "golden": FileKind("Golden dies", (".golden.npz",)),

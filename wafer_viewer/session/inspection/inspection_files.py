@@ -17,7 +17,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerErr
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.klarf import Klarf, KlarfExport, KlarfImage
-from wafer_viewer.model.inspection.lot import SAME_PITCH
+from wafer_viewer.model.inspection.lot import SAME_PITCH, WaferComparison, WaferDefects
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.commands import command, observer_command
@@ -353,8 +353,9 @@ class DefectFiles:
         self._command_queue, self._library, self._background, self._folder = command_queue, library, background, folder
 
     def open(self) -> None:
-        """Remove the overlay of the previous surface, and list recipes and golden dies again."""
+        """Remove what was compared with the previous surface, and list recipes and golden dies again."""
         self.take_away.run()
+        self.take_earlier_away.run()
         self.refresh.run()
 
     @command
@@ -436,8 +437,26 @@ class DefectFiles:
     @command
     def take_away(self) -> None:
         """Remove the overlay."""
-        if self._command_queue.now.defect_files.other is not None:
-            self._put(other=None)
+        self._put(other=None)
+
+    @command
+    def take_earlier_away(self) -> None:
+        """Remove the comparison with an earlier inspection."""
+        self._put(earlier=None)
+
+    @command
+    def compare(self, path: Path) -> WaferComparison:
+        """Compare the defects on show with an earlier inspection of the wafer: a NAME.wafer or a KLARF file."""
+        from wafer_viewer.measure.defects.adders import adders
+        from wafer_viewer.session.inspection.lot_files import read_wafer_defects
+
+        if (inspection := self._command_queue.now.inspection.inspection) is None:
+            raise DatasetError("There are no defects to compare yet: inspect the surface first.")
+        job = self._library.shown.job
+        now = WaferDefects.of(inspection, self._library.dataset.path.stem, job.sample, job.alignment)
+        compared = adders(read_wafer_defects(path), now)
+        self._put(earlier=compared)
+        return compared
 
     @property
     def _looked_at(self) -> tuple[Path, str]:

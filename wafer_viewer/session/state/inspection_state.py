@@ -18,6 +18,7 @@ from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspectio
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.inspection.klarf import Klarf, KlarfDefect
+from wafer_viewer.model.inspection.lot import WaferComparison
 from wafer_viewer.model.job import Job
 from wafer_viewer.model.region import Region
 
@@ -92,13 +93,15 @@ class OtherTool:
 class DefectFilesState:
     """Recipes, last saved first, and golden dies, newest version of each first.
 
-    problems: invalid files. other: the overlay of another tool's defects, if there is one.
+    problems: invalid files. other: the overlay of another tool's defects, if there is one. earlier: the comparison with
+    an earlier inspection, if there is one.
     """
 
     recipes: tuple[DefectRecipe, ...] = ()
     golden: tuple[GoldenHeader, ...] = ()
     problems: tuple[str, ...] = ()
     other: OtherTool | None = None
+    earlier: WaferComparison | None = None
 
     def recipes_of(self, product: str) -> tuple[DefectRecipe, ...]:
         """Return the recipes of a product, last saved first; empty without a product."""

@@ -36,7 +36,9 @@ from wafer_viewer.gui.steps.review.dialogs import (
     ERRANDS,
     STAYS,
     area_of_defect,
+    earlier_html,
     excluded_dialog,
+    list_added,
     overlay_html,
     place_of_other,
     recipes_dialog,
@@ -48,6 +50,7 @@ from wafer_viewer.gui.widgets.callbacks import guarded
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
 from wafer_viewer.model.inspection.defect import FORM_SEES, REFERENCES, Defect, Inspection, verdict_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES, ClassTable, DefectClassEntry
+from wafer_viewer.model.inspection.lot import WaferComparison
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace, settings_of
 from wafer_viewer.session.state.inspection_state import InspectionState, OtherTool
@@ -78,7 +81,7 @@ def defect_list(here: Here[DefectsState]) -> Elements | None:
         return None
     if state.work and here.own.unfolded:
         here.own = replace(here.own, unfolded=False)
-    inspection, other = state.inspection, snapshot.defect_files.other
+    inspection, other, earlier = state.inspection, snapshot.defect_files.other, snapshot.defect_files.earlier
     limits = verdict(inspection) if inspection is not None else Markup()
     listed = inspection is not None and bool(inspection.defects)
     return [
@@ -86,6 +89,7 @@ def defect_list(here: Here[DefectsState]) -> Elements | None:
         Stack(inspection_form(here) or []),
         Html(_command_links() if inspection is not None else ""),
         Html(_overlay(other, state) if other is not None else ""),
+        Html(earlier_html(earlier) if earlier is not None else ""),
         Html(_choices(state, view) if listed else ""),
         Stack(_filters(here)) if listed and here.own.shows_filter else None,
         Html(_rows(here, inspection) + facts(inspection) if inspection is not None else ""),
@@ -156,6 +160,10 @@ DEFECT_PICKS: Picks[DefectsState] = {
     "defect-filter": lambda here, _: here.keep(shows_filter=not here.own.shows_filter),
     "defect-sort": lambda here, sort: here.own.review.list_by(sort=sort),
     "defect-other": _go_to_other,
+    "defect-added": lambda here, _: list_added(here.page),
+    "defect-earlier-away": lambda here, _: here.page.ask(
+        "The comparison was not removed", here.page.session.defects.files.take_earlier_away()
+    ),
     "defect-other-away": lambda here, _: here.page.ask(
         "The overlay was not removed", here.page.session.defects.files.take_away()
     ),
@@ -208,13 +216,14 @@ def _filters(here: Here[DefectsState]) -> Elements:
     return [kind, *form(listing, lambda name, value: review.list_by(**{name: value}), *FILTERED[1:])]
 
 
-def alone(listing: DefectListing, inspection: Inspection) -> Markup:
+def alone(listing: DefectListing, inspection: Inspection, earlier: WaferComparison | None = None) -> Markup:
     """Return the active filters with a link that clears them; empty if everything is listed."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
     die = html.typeset(f"Die {listing.die}")
     filters = [f"{die} ({state})" if state else die] if listing.die else []
     filters += [inspection.recipe.class_table[listing.kind].title] if listing.kind else []
-    filters += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
+    of = "of one place on the dies" if earlier is None or listing.numbers != earlier.added else f"since {earlier.first}"
+    filters += [f"{len(listing.numbers)} {of}"] if listing.numbers else []
     titles = {name: settings_of(DefectListing)[name].setting.title for name in FILTERED[2:]}
     limits = ((name, title, getattr(listing, name)) for name, title in titles.items())
     filters += [f"{title.lower()} {value:g}" for _, title, value in limits if value is not None]
@@ -240,7 +249,8 @@ def _rows(here: Here[DefectsState], inspection: Inspection) -> Markup:
     now = chosen_item(snapshot, view)
     shown = rows_of(items, now)
     jpegs = here.own.thumbnails.painted_all([defect_request(item, snapshot) for item in shown])
-    return alone(view.defects, inspection) + rows(items, shown, now, [thumbnail(jpeg) for jpeg in jpegs])
+    listing = alone(view.defects, inspection, snapshot.defect_files.earlier)
+    return listing + rows(items, shown, now, [thumbnail(jpeg) for jpeg in jpegs])
 
 
 def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[ReviewItem]:

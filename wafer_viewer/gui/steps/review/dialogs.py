@@ -27,6 +27,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.inspection.klarf import KlarfDefect, KlarfExport
+from wafer_viewer.model.inspection.lot import WaferComparison
 from wafer_viewer.model.inspection.wafer_map import require_notch
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Setting, Spec, replace, settings_of
@@ -121,6 +122,7 @@ class _Named(Spec, frozen=True, kw_only=True):
 
 NOT_CLASSES = "The class table was not changed"
 NOT_GOLDEN, NOT_OVERLAID = "No golden die was kept", "The KLARF file was not overlaid"
+ADDERS, NOT_COMPARED = "Adders since an earlier inspection…", "The inspections were not compared"
 NEAR = "Places closer than this count as the same defect"
 FORMATS: dict[str, tuple[Handover, str]] = {
     "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
@@ -235,6 +237,43 @@ def klarf_dialog(page: Page) -> None:
     below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
     answer = Confirm("Overlay", viser.Icon.STACK_2, lay, NOT_OVERLAID)
     FileDialog(page, "Overlay a KLARF file", below, answer, "klarf", _Overlay(), contents, rows=6)
+
+
+def earlier_dialog(page: Page) -> None:
+    """Open the dialog that compares with an earlier inspection; then the added defects are listed alone."""
+
+    def contents(here: FileDialog[None]) -> Elements:
+        return [*here.files(), here.upload()]
+
+    def compare(here: FileDialog[None]) -> None:
+        page.session.defects.files.compare(here.path()).result(WAIT_S)
+        list_added(page)
+
+    below = "An inspected dataset of this wafer, or a KLARF file. Dies that only one of them inspected stay out."
+    answer = Confirm("Compare", viser.Icon.ARROWS_DIFF, compare, NOT_COMPARED)
+    FileDialog(page, "Adders since an earlier inspection", below, answer, "inspected", None, contents, rows=7)
+
+
+def list_added(page: Page) -> None:
+    """List the defects alone that the earlier inspection does not have."""
+    if (earlier := page.session.snapshot.defect_files.earlier) is not None:
+        page.change(defects=replace(page.view.defects.widened, numbers=earlier.added), review=None)
+
+
+def earlier_html(earlier: WaferComparison) -> Markup:
+    """Return the numbers of added, removed and common defects as HTML, with the link that lists the added ones."""
+    away = html.link("Remove", "defect-earlier-away")
+    head = Markup('<div class="wv-h">Since {}<span>{}</span></div>').format(earlier.first, away)
+    chance = f", by chance {number(earlier.by_chance, 1)} at most" if earlier.by_chance is not None else ""
+    blind = len(earlier.not_inspected_before), len(earlier.not_inspected_after)
+    kept_out = f" On dies that only one inspected: {blind[1]} before, {blind[0]} now." if any(blind) else ""
+    added = html.link(f"{len(earlier.added)} added", "defect-added") if earlier.added else Markup("None added")
+    by = f" {earlier.dies[:1].upper()}{earlier.dies[1:]}." if earlier.dies else ""
+    told = f" · {len(earlier.removed)} removed · {len(earlier.common)} common{chance}.{by}{kept_out}"
+    notes = Markup("").join(html.remark(note, "margin-bottom:5px") for note in earlier.notes)
+    return Markup('{}<div class="wv-sub">{}{}</div>{}<div style="height:8px"></div>').format(
+        head, added, html.typeset(told), notes
+    )
 
 
 def classes_dialog(page: Page) -> None:
@@ -426,6 +465,7 @@ ERRANDS: dict[str, Errand] = {
     "golden": Errand("Keep as golden die…", "Golden die…", NOT_GOLDEN, viser.Icon.DIAMOND, golden_dialog),
     "classes": Errand("Class table…", "Classes…", NOT_CLASSES, viser.Icon.TAGS, classes_dialog),
     "learn": Errand(PROPOSE, "Propose classes", NOT_PROPOSED, viser.Icon.BULB, propose_classes),
+    "earlier": Errand(ADDERS, "Adders…", NOT_COMPARED, viser.Icon.ARROWS_DIFF, earlier_dialog),
     "klarf": Errand("Overlay a KLARF file…", "Overlay KLARF…", NOT_OVERLAID, viser.Icon.STACK_2, klarf_dialog),
 }
 """Commands in the header of the defect list and in the command palette."""
