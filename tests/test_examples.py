@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 
 from tests.support.command_line import viewer
 from tests.support.paths import ROOT
+from tests.write_notebooks import NAMES as NOTEBOOK_OF
+from tests.write_notebooks import NOTEBOOKS, cells_of
 from wafer_viewer.measure.texture.areal_texture import Texture
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.rigs.virtual.scenes.wafer import DEPTH_UM
@@ -55,6 +58,17 @@ def test_there_are_ten_examples_each_with_a_test():
     assert numbers == [f"{number:02d}" for number in range(1, 11)]
     tested = [name[len("test_example_") :][:2] for name in globals() if name.startswith("test_example_")]
     assert sorted(tested) == numbers
+
+
+@pytest.mark.parametrize("name", NOTEBOOK_OF)
+def test_a_notebook_has_the_cells_of_its_example_and_its_pictures(name: str):
+    script = (EXAMPLES / NOTEBOOK_OF[name]).read_text(encoding="utf-8")
+    cells = json.loads((NOTEBOOKS / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+    kept = [(cell["cell_type"], "".join(cell["source"])) for cell in cells]
+    assert kept == [(cell.kind, cell.source) for cell in cells_of(script)], "run tests/write_notebooks.py"
+    outputs = [output for cell in cells for output in cell.get("outputs", ())]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    assert not any(output["output_type"] == "error" for output in outputs)
 
 
 @pytest.mark.slow
