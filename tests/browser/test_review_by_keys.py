@@ -123,7 +123,7 @@ def test_classes_are_proposed_from_judgements_and_one_key_agrees(page: Page, ses
     page.keyboard.press("Shift+R")
     page.get_by_text("Propose classes", exact=True).click()
     stands_on = f"Proposed from {len(larger) + len(smaller)} judged defects of this inspection"
-    expect(page.locator(".wv-defect-facts, .wv-sub").filter(has_text=stands_on).first).to_be_visible(timeout=60_000)
+    expect(page.locator(".wv-sub").filter(has_text=stands_on).first).to_be_visible(timeout=60_000)
     expect(page.locator(".wv-segments .on", has_text="Doubt")).to_be_visible()
     open_ones = [d for d in session.snapshot.inspection.defects if d.judgement == "open"]
     first = min(open_ones, key=lambda d: (d.learned.share, d.number))

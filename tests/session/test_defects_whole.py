@@ -13,7 +13,10 @@ from wafer_viewer.measure.defects.learned_classes import judged_defects
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.inspection.klarf import KlarfExport
+from wafer_viewer.model.progress import silent
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.inspection.inspection_job import GivenDies, wafer_of
+from wafer_viewer.session.inspection.inspection_job import inspected as search_headless
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.npz_file import write_npz
 from wafer_viewer.store.records.golden_dies import open_golden
@@ -100,6 +103,13 @@ def test_judgements_kept_with_the_product_propose_classes_at_the_next_inspection
     assert session.snapshot.inspection.inspection.learned == proposed.learned
     kept = read_judged(path.parent, "LX-7").defects
     assert [(d.wafer, d.kind) for d in kept[10:]] == [("w7/default", "residue"), ("w7/default", "nuisance")]
+    own_dies = GivenDies(
+        pitch_um=(made.grid.pitch_x_um, made.grid.pitch_y_um),
+        origin_um=(made.grid.x0_um, made.grid.y0_um),
+        size_um=(made.grid.width_um, made.grid.height_um),
+    )
+    headless = search_headless(wafer_of(path, "default"), RECIPE, own_dies, None, "dies", silent)
+    assert headless.learned == proposed.learned, "each judgement counts once, those carried over too"
     again = session.defects.inspect(RECIPE, made.grid).result(PATIENCE_S)
     assert again.learned is not None
     assert {defect.learned.kind for defect in again.found} <= {"residue", "nuisance"}

@@ -10,12 +10,14 @@ from tests.support.datasets.compared_datasets import two_datasets
 from tests.support.datasets.inspections import defect, inspection
 from wafer_viewer.model.errors import DatasetError, DiesNotFound, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.lot import WaferComparison
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.background_work import BackgroundWork, Notifications
 from wafer_viewer.session.core.command_queue import CommandQueue
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.inspection.inspection_commands import DefectController
 from wafer_viewer.session.inspection.inspection_job import inspect_dataset, mosaic_mark
+from wafer_viewer.session.state.inspection_state import DefectFilesState
 from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
@@ -149,6 +151,17 @@ def test_judgements_survive_a_new_inspection(bench, result):
     assert bench.state.defect(first).judgement == "real"
     assert read_inspection(result.path).threshold_sigma == 3.0
     assert bench.command_queue.snapshot.works == ()
+
+
+def test_a_comparison_with_an_earlier_inspection_ends_with_a_new_one(bench, result):
+    compared = WaferComparison(first="w1", second="w2", added=(2,))
+    bench.do(lambda: bench.command_queue.change(defect_files=DefectFilesState(earlier=compared)))
+    found = bench.controller.inspect(DefectRecipe(), None, "dies")
+    bench.do(lambda: None)
+    assert bench.command_queue.snapshot.defect_files.earlier == compared
+    bench.hired.done.set_result(replace(FOUND, mark=mosaic_mark(result)))
+    found.result(20)
+    assert bench.command_queue.snapshot.defect_files.earlier is None, "its numbers are of other defects"
 
 
 def test_a_failed_inspection_gives_its_reason_instead_of_the_list(bench, result):

@@ -124,7 +124,11 @@ def with_learned_classes(inspection: Inspection, surface: Mosaic, judged: Iterab
     ----------
     .. [1] L. Breiman, Random forests, Machine Learning 45 (2001) 5-32.
     """
-    forest = grown((judged_defects(inspection, surface), *judged))
+    return with_proposals(inspection, surface, grown((judged_defects(inspection, surface), *judged)))
+
+
+def with_proposals(inspection: Inspection, surface: Mosaic, forest: ClassForest) -> Inspection:
+    """Return an inspection with the proposals of a forest for its open defects."""
     open_ones = [defect for defect in inspection.found if defect.judgement == "open"]
     proposed = forest.propose([_features(defect, surface, inspection.grid) for defect in open_ones])
     by_number = {defect.number: learned for defect, learned in zip(open_ones, proposed, strict=True)}

@@ -67,9 +67,9 @@ def _parts_unlike(products: Floats, order: Orders) -> bool:
         return False
     unlike = 1 - 2 * np.diag(products, 1) / (power[:-1] + power[1:])
     stays = np.abs(np.diff(np.argsort(order))) == 1
-    if stays.all() or not stays.any():
-        return not stays.any()
-    return bool(unlike[~stays].mean() > LESS_ALIKE * np.median(unlike[stays]))
+    if stays.all():
+        return False
+    return not stays.any() or bool(unlike[~stays].mean() > LESS_ALIKE * np.median(unlike[stays]))
 
 
 def _order_like_names(products: Floats) -> Orders:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Collection
 from concurrent.futures import Future
+from dataclasses import replace as with_changes
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,6 +197,8 @@ class DefectController:
         inspection = new if before is None else carry_over(before, new)
         write_inspection(self._library.result.path, inspection)
         self._history.restart(inspection)
+        files = with_changes(self._command_queue.now.defect_files, earlier=None)  # it has the numbers of those before
+        self._command_queue.change(defect_files=files)
 
     def _save(self) -> None:
         from wafer_viewer.store.records.inspection_records import write_inspection

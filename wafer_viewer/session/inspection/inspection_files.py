@@ -309,15 +309,15 @@ def learn_classes(
     Raises DatasetError if this surface was not inspected, or a file cannot be read or written; MeasureError with too
     few judged defects, or without scikit-learn.
     """
-    from wafer_viewer.measure.defects.learned_classes import judged_defects, of_others, with_learned_classes
+    from wafer_viewer.measure.defects.learned_classes import grown, judged_defects, of_others, with_proposals
     from wafer_viewer.store.records.inspection_records import read_judged, save_judged
 
     wafer, inspection = _inspected(dataset, result, same_surface=True)
     name = f"{dataset.stem}/{result}"
     others = of_others(read_judged(dataset.parent, inspection.product), name)
-    proposed = with_learned_classes(inspection, wafer.surface, (others,))
+    own = judged_defects(inspection, wafer.surface, wafer=name)
+    proposed = with_proposals(inspection, wafer.surface, grown((own, others)))
     if inspection.product:
-        own = judged_defects(inspection, wafer.surface, wafer=name)
         save_judged(dataset.parent, replace(own, defects=(*others.defects, *own.defects)))
     return proposed
 

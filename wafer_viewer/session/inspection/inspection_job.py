@@ -453,10 +453,9 @@ def inspected(
             progress=tell,
             rows_by=rows_by,
         )
-    if wafer.before is not None:
-        inspection = carry_over(wafer.before, inspection)
-    folder = wafer.lies_in[0].parent if wafer.lies_in is not None else None
-    return inspection if folder is None else with_classes_of_product(inspection, wafer.surface, folder)
+    if wafer.lies_in is not None:  # before judgements are carried over, which the product has already
+        inspection = with_classes_of_product(inspection, wafer.surface, wafer.lies_in[0].parent)
+    return inspection if wafer.before is None else carry_over(wafer.before, inspection)
 
 
 @contextmanager

@@ -222,7 +222,9 @@ def alone(listing: DefectListing, inspection: Inspection, earlier: WaferComparis
     die = html.typeset(f"Die {listing.die}")
     filters = [f"{die} ({state})" if state else die] if listing.die else []
     filters += [inspection.recipe.class_table[listing.kind].title] if listing.kind else []
-    of = "of one place on the dies" if earlier is None or listing.numbers != earlier.added else f"since {earlier.first}"
+    of = "of one place on the dies"
+    if earlier is not None and listing.numbers == earlier.added:
+        of = f"added since {earlier.first}"
     filters += [f"{len(listing.numbers)} {of}"] if listing.numbers else []
     titles = {name: settings_of(DefectListing)[name].setting.title for name in FILTERED[2:]}
     limits = ((name, title, getattr(listing, name)) for name, title in titles.items())
