@@ -151,7 +151,7 @@ def _learned(defect: Defect | None, table: ClassTable) -> Markup:
     """Return the class that judgements propose, with the link that agrees."""
     if defect is None or not (text := learned_text(defect, table)):
         return Markup()
-    agrees = html.command_link("agree (Alt + Y)", "defect-learned", action="Defects judged")
+    agrees = html.command_link("agree", "defect-learned", action="Defects judged", title="Alt + Y")
     return Markup('<div class="wv-lab wv-learned">From judgements: {} · {}</div>').format(text, agrees)
 
 
