@@ -324,6 +324,16 @@ def test_a_result_that_was_removed_is_made_again(dataset):
     assert not is_found(dataset)
 
 
+@pytest.mark.parametrize("bits", [0, 10, 128])
+def test_a_mosaic_with_a_grey_depth_that_no_picture_has_is_named(dataset, bits):
+    header = dataset / "results" / "default" / "mosaic.zarr" / "zarr.json"
+    (found,) = re.findall(rb'"grey_bits": ?\d+', header.read_bytes())
+    header.write_text(sealed_node(json.loads(header.read_bytes().replace(found, b'"grey_bits": %d' % bits))))
+    with pytest.raises(DatasetError, match=r"zarr\.json"):
+        Dataset.open(dataset).result().mosaic()
+    assert is_found(dataset)
+
+
 def test_a_surface_that_was_made_again_is_covered_once_it_is_stitched(dataset):
     data = Dataset.open(dataset)
     result, field = data.result(), data.fields[0]

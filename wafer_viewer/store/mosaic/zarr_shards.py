@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, Any, ClassVar
+from typing import IO, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -314,7 +314,7 @@ class MosaicHeader(Spec, frozen=True, kw_only=True):
     y0_um: float
     rows: Count
     cols: Count
-    grey_bits: int
+    grey_bits: Literal[8, 16]
     provenance: Provenance
 
     @property
@@ -347,7 +347,7 @@ def header_of(source: Mosaic) -> MosaicHeader:
         y0_um=source.y0_um,
         rows=rows,
         cols=cols,
-        grey_bits=corner.all_in_focus.dtype.itemsize * 8,
+        grey_bits=8 if corner.all_in_focus.dtype == np.uint8 else 16,
         provenance=source.provenance,
     )
 
