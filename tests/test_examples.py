@@ -95,8 +95,9 @@ def test_example_03_compares_four_measures(run):
 
 @pytest.mark.slow
 def test_example_04_covers_the_true_step(run):
+    """By 3 u: the noise is new in every scan, and one in twenty lies beyond 2 u."""
     step = run("04")["step"]
-    assert abs(float(step) - DEPTH_UM) <= 2 * step.u
+    assert abs(float(step) - DEPTH_UM) <= 3 * step.u
 
 
 @pytest.mark.slow
