@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -50,4 +51,18 @@ def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_b
     expect(page.locator(".wv-stack")).to_have_count(0)
     expect(pictures).to_have_count(3)
     page.keyboard.press("Escape")
+    expect(page.locator(".wv-alone")).to_have_count(0)
+
+
+def test_a_place_listed_alone_is_forgotten_when_its_numbers_are_of_other_defects(serve: Callable[..., Page]):
+    session = repeating_session()
+    page = serve(session)
+    go_to(page, "Review")
+    expect(page.locator(".wv-over-picture img")).to_have_count(3)
+    page.keyboard.press("Backspace")
+    expect(page.locator(".wv-stack-list tr")).to_have_count(3)
+    page.keyboard.press("Backspace")
+    expect(page.locator(".wv-alone")).to_contain_text("17 of one place")
+    now = session.snapshot.inspection
+    session.change(inspection=replace(now, search=now.search + 1))
     expect(page.locator(".wv-alone")).to_have_count(0)

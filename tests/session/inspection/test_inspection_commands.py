@@ -139,6 +139,7 @@ def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
 def test_judgements_survive_a_new_inspection(bench, result):
     first = bench.state.defects[0].number
     bench.do(bench.controller.judge, first, "real", None, None)
+    before = bench.state
     found = bench.controller.inspect(DefectRecipe(sensitivity=0.7), None, "dies")
     bench.do(lambda: None)
     assert bench.state.work
@@ -150,6 +151,7 @@ def test_judgements_survive_a_new_inspection(bench, result):
     assert (bench.state.work, bench.state.inspection.threshold_sigma) == ("", 3.0)
     assert bench.state.defect(first).judgement == "real"
     assert read_inspection(result.path).threshold_sigma == 3.0
+    assert bench.state.search == before.search + 1, "numbers of defects are those of one search"
     assert bench.command_queue.snapshot.works == ()
 
 

@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakSet
 
@@ -25,6 +24,7 @@ from wafer_viewer.gui.widgets.controls import add_html
 from wafer_viewer.gui.widgets.html import Tone, icon, link, note, read_picks, typeset
 from wafer_viewer.gui.widgets.style import RGB_OF_TONE
 from wafer_viewer.model.roles import role_for
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.session.core.commands import restricted_session
 from wafer_viewer.session.rendering.render_request import OPTIONAL_QUANTITIES, ColourScale, Statistics
@@ -68,6 +68,7 @@ class Page:
         self.view = View()
         self.recalled = Remembered()
         self._restored = False
+        self._search: int | None = None
         asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
         self._recalling = asking.submit(view_state.recall, client)  # the browser answers while the parts are made
         asking.shutdown(wait=False)
@@ -310,6 +311,7 @@ class Page:
         if self._closed or snapshot.reopening:
             return
         self._restore(snapshot)
+        self._forget_defects(snapshot.inspection.search)
         self._tell_standing(snapshot)
         self._show((*self._parts, *self.opened), snapshot)
 
@@ -335,6 +337,13 @@ class Page:
         if snapshot.dataset is not None and str(snapshot.dataset.path) == self.recalled.of:
             with self._lock:
                 self.view = replace(self.view, **self.recalled.chosen)
+
+    def _forget_defects(self, search: int) -> None:
+        """Show all defects again after a search: the chosen numbers are of other defects now."""
+        if self._search not in (None, search):
+            with self._lock:
+                self.view = replace(self.view, defects=replace(self.view.defects, numbers=()), marked=())
+        self._search = search
 
     def _tell_standing(self, snapshot: Snapshot) -> None:
         """Notify of every new note (after a reload, again of those that need action); remove those of settled notes."""

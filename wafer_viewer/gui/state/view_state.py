@@ -45,7 +45,8 @@ class DefectListing(Spec, frozen=True, kw_only=True):
     sort: key of the order.
     kind, die: class and die; empty for all.
     map_by: quantity that colours the dies of the map.
-    numbers: defects at one position that repeats from die to die; empty for all.
+    numbers: defects at one position that repeats from die to die, or added since an earlier inspection; empty for all.
+    They are forgotten when the surface is searched again.
     """
 
     sort: DefectSort = "size"

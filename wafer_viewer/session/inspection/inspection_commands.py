@@ -53,6 +53,7 @@ class DefectController:
         self._history: UndoHistory[Inspection | None] = UndoHistory(None)
         self._opened_for: tuple[Path, str] | None = None
         self._work, self._problem, self._stamp, self._dies_missing = "", "", 0, False
+        self._search = 0
 
     def watch(self) -> None:
         """Check whether the inspection is still valid whenever the surface changes."""
@@ -73,7 +74,7 @@ class DefectController:
                 stored = read_inspection(self._library.result.path)
             except WaferViewerError as fault:
                 self._problem = str(fault)
-        self._history.restart(stored)
+        self._restart(stored)
         self._show()
 
     @command
@@ -196,9 +197,13 @@ class DefectController:
         before = self._history.value
         inspection = new if before is None else carry_over(before, new)
         write_inspection(self._library.result.path, inspection)
-        self._history.restart(inspection)
+        self._restart(inspection)
         files = with_changes(self._command_queue.now.defect_files, earlier=None)  # it has the numbers of those before
         self._command_queue.change(defect_files=files)
+
+    def _restart(self, inspection: Inspection | None) -> None:
+        self._history.restart(inspection)
+        self._search += 1
 
     def _save(self) -> None:
         from wafer_viewer.store.records.inspection_records import write_inspection
@@ -225,6 +230,7 @@ class DefectController:
                 self._work,
                 history.can_undo,
                 history.can_redo,
+                self._search,
             )
         )
 

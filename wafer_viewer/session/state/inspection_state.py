@@ -28,7 +28,8 @@ class InspectionState:
     """Inspection of the displayed surface; None if it was not inspected.
 
     stale: the surface has been recomputed since. problem: why the last inspection failed, or cannot be read;
-    dies_missing: because dies were not found. work: id of the running one. Equality is identity, because lists of
+    dies_missing: because dies were not found. work: id of the running one. search: which inspection it is, counted
+    since the program began; the numbers of defects are those of this one alone. Equality is identity, because lists of
     thousands of defects are not compared.
     """
 
@@ -39,6 +40,7 @@ class InspectionState:
     work: str = ""
     can_undo: bool = False
     can_redo: bool = False
+    search: int = 0
 
     @property
     def defects(self) -> tuple[Defect, ...]:
