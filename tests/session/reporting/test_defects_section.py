@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.datasets.inspections import defect, inspection
+from tests.support.datasets.inspections import defect, inspection, lying
 from tests.support.datasets.judged_datasets import RESULT, judged_dataset, released_job
 from wafer_viewer.model.inspection.defect import DefectLimits, DefectRecipe
 from wafer_viewer.model.report import ReportOrder, ReportSection
@@ -78,3 +78,24 @@ def test_the_limits_of_the_recipe_are_held_and_reported(dataset: Path):
     write_inspection(Dataset.open(dataset).result(RESULT).path, replace(found, grid=None, dies=(), defects=()))
     section = report_of(dataset, RESULT, ORDER).sections[0]
     assert dict(section.pairs)["Limits"].startswith("no verdict, not all was inspected. No die is known, so nothing")
+
+
+def test_every_die_is_listed_with_what_was_measured_of_it(dataset: Path):
+    folder = Dataset.open(dataset).result(RESULT).path
+    write_inspection(folder, inspection())
+    order = ReportOrder(parts=("dies",))
+    assert report_of(dataset, RESULT, order).sections == ()
+    assert contents(dataset, RESULT)["dies"].nothing
+    on = {"0,0": lying(1.5), "1,0": lying(-4.0, bow_um=0.4)}
+    found = inspection(defect(1, "0,0", 100.0, 50.0), measured=on)
+    write_inspection(folder, found)
+    (section,) = report_of(dataset, RESULT, order).sections
+    assert section.table is not None
+    assert [row[:3] for row in section.table.rows] == [
+        ("1,0", "0", "−4.00 ± 0.20"),
+        ("0,0", "1", "+1.50 ± 0.20"),
+    ]
+    assert contents(dataset, RESULT)["dies"].words == "2 dies measured"
+    german = report_html(report_of(dataset, RESULT, replace(order, language="de")))
+    for text in ("<h2>Dies</h2>", "Neigung x, mrad", "bezogen auf die anderen Dies", "−4,00\u00a0±\u00a00,20"):
+        assert text in german

@@ -260,7 +260,7 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
     monkeypatch.setattr(report, "gather", lambda *_: material)
     message = contents(dataset, RESULT)
     assert {part for part, holds in message.items() if holds.nothing} == {
-        *("verdict", "features", "results", "defects", "gauge", "pictures", "surface", "audit")
+        *("verdict", "features", "results", "defects", "dies", "gauge", "pictures", "surface", "audit")
     }
     assert (message["results"].words, message["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))

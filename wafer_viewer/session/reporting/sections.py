@@ -9,12 +9,13 @@ from collections.abc import Iterator
 from wafer_viewer.draw.charts.defect_charts import die_stack_svg, pareto_svg
 from wafer_viewer.draw.charts.die_map import defect_map_svg, kinds_text
 from wafer_viewer.draw.charts.limits_bar import limits_bar_svg, share_bar_svg
-from wafer_viewer.draw.number_format import THIN, digits_of_u, number, share
+from wafer_viewer.draw.number_format import NOTHING, THIN, digits_of_u, number, plural, share, value_and_u
 from wafer_viewer.draw.quantities import display_unit, explained_quantity
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.inspection.defect import REFERENCES, Defect, Inspection, headline, verdict_of
 from wafer_viewer.model.inspection.defect_classes import DEFECT_CLASSES
+from wafer_viewer.model.inspection.die_grid import DieMeasurement, DieStatus
 from wafer_viewer.model.job import GRAVEST, FeatureVerdict, WaferVerdict, key_of_result, keys_of_features
 from wafer_viewer.model.measurement.feature import DecisionRule
 from wafer_viewer.model.measurement.result_rows import title_of
@@ -335,6 +336,44 @@ def defects_held(material: Material) -> Holds:
     judged = sum(defect.judgement != "open" for defect in found.found)
     n = len(found.found)
     return Holds(f"{number(n, 0)} defect{'' if n == 1 else 's'}, {judged} judged")
+
+
+MOST_DIES = 200
+"""Maximum number of rows of dies; the CSV has all."""
+DIE_HEADS = ("Die", "Defects", "Tilt x, mrad", "Tilt y, mrad", "Offset, µm", "Bow, µm", "Brightness, %")
+
+
+def dies(material: Material) -> ReportSection:
+    """Return the section with tilt, offset, bow and brightness of every die, the most tilted first."""
+    found = measured_dies(material)
+    told = ["Value ± U (95 %), relative to the other dies and their trend over the wafer. The most tilted come first."]
+    if len(found) > MOST_DIES:
+        told.append(f"The {MOST_DIES} most tilted of {number(len(found), 0)} dies are listed.")
+    rows = tuple(_die_row(die, at) for die, at in found[:MOST_DIES])
+    return ReportSection(PART_TITLES["dies"], table=Table(DIE_HEADS, rows, "wnnnnnn"), sentences=tuple(told))
+
+
+def dies_held(material: Material) -> Holds:
+    """Return how many dies were measured."""
+    n = len(measured_dies(material))
+    return Holds(f"{plural(n, 'die')} measured" if n else "no die was compared with others", nothing=not n)
+
+
+def measured_dies(material: Material) -> list[tuple[DieStatus, DieMeasurement]]:
+    """Return the dies that were compared with others, the most tilted first."""
+    found = material.inspection.dies if material.inspection is not None else ()
+    return sorted(((die, die.measured) for die in found if die.measured is not None), key=lambda one: -one[1].tilt_mrad)
+
+
+def _die_row(die: DieStatus, at: DieMeasurement) -> tuple[str, ...]:
+    lengths = (at.tilt_x, at.tilt_y, at.offset.quantity, at.bow.quantity)
+    bright = value_and_u(100 * at.brightness_fraction, 200 * at.u_brightness_fraction or None, 1, signed=True)
+    pairs = [*(value_and_u(one.value, one.expanded, signed=True) for one in lengths), bright]
+    return (
+        die.name,
+        NOTHING if die.defects is None else number(die.defects, 0),
+        *(" ± ".join(pair) if pair[1] != NOTHING else pair[0] for pair in pairs),
+    )
 
 
 def _inspected(inspection: Inspection) -> Pairs:
