@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.support.bumped_surface import HEIGHT_UM, bumped
 from tests.support.surfaces import STEP_UM, gauge_blocks
 from wafer_viewer.measure.base.measurement_context import LESS_WITH_REPEATS
 from wafer_viewer.measure.verdict import (
@@ -191,6 +192,13 @@ FLAT = Feature(name="face", tool="flatness", quantity="flt_q", upper_limit=3.0, 
 WAY = (Region.point(-100, 0), Region.point(100, 0))
 FALL = Feature(name="fall", tool="distance", quantity="dz", unit="um", upper_limit=-390.0, places=WAY)
 
+OVER_ALL_BUMPS = Dies(width_um=420.0, height_um=420.0, listed=(Die(name="A1", x_um=-210.0, y_um=-210.0),))
+
+
+@pytest.fixture(scope="module")
+def bumps():
+    return bumped()
+
 
 def test_any_quantity_of_any_tool_is_judged_against_a_limit_that_may_be_open():
     (item,) = judge_features(gauge_blocks(1), [FALL], None, calibration_valid=True)
@@ -198,6 +206,25 @@ def test_any_quantity_of_any_tool_is_judged_against_a_limit_that_may_be_open():
     assert item.measured.value == pytest.approx(-STEP_UM, abs=8)
     (beyond,) = judge_features(gauge_blocks(1), [replace(FALL, upper_limit=-500.0)], None, calibration_valid=True)
     assert (beyond.word, beyond.why) == ("fail", "Over the upper limit.")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("quantity", "limits", "word"),
+    [
+        ("mean_height", {"lower_limit": HEIGHT_UM - 0.5, "upper_limit": HEIGHT_UM + 0.5}, "pass"),
+        ("mean_height", {"lower_limit": HEIGHT_UM + 0.5}, "fail"),
+        ("", {"upper_limit": 2.0}, "fail"),
+        ("", {"upper_limit": 5.0}, "pass"),
+        ("height_range", {"upper_limit": 5.0}, "no verdict"),
+    ],
+)
+def test_heights_of_bumps_and_their_coplanarity_are_judged_on_a_die(bumps, quantity, limits, word):
+    """One of 100 bumps is 3 um too high; the range of heights has no uncertainty, so no limit is held against it."""
+    whole = (Region.rectangle(10, 10, 410, 410),)
+    feature = Feature(name="bumps", tool="coplanarity", quantity=quantity, per_die=True, places=whole, **limits)
+    (item,) = judge_features(bumps.surface, [feature], None, calibration_valid=True, dies=OVER_ALL_BUMPS)
+    assert (item.name, item.word) == ("bumps, die A1", word)
 
 
 @pytest.mark.parametrize(
