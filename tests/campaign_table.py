@@ -46,8 +46,11 @@ def line(file: str, cases: list[ElementTree.Element], when: str, commit: str, ma
 
 
 def subject(file: Path) -> str:
-    """Return the first line of a test file, without what follows a colon or its full stop."""
-    return (ast.get_docstring(ast.parse(file.read_text())) or file.stem).splitlines()[0].split(":")[0].rstrip(".")
+    """Return the first line of a test file, without what follows a colon or its full stop, or else its name."""
+    told = (
+        ast.get_docstring(ast.parse(file.read_text())) or file.stem.removeprefix("test_").replace("_", " ").capitalize()
+    )
+    return told.splitlines()[0].split(":")[0].rstrip(".")
 
 
 def renewed(page: str, passed: Mapping[str, str]) -> str:
