@@ -22,7 +22,10 @@ from wafer_viewer.session.state.snapshot import Snapshot
 TILE_PX, NAME_PX, GAP_PX = 96, 34, 8
 """Side of a picture, height of the two lines below it, and distance of two tiles, in CSS pixels."""
 HELD = {"and": "Ctrl", "to": "Shift"}
-HINT = "Ctrl + click selects one more, Shift + click all up to here; Shift + Y, N or a class key judges the selected."
+HINT = Markup(
+    "Ctrl + click: one more<span class=wv-further> · Shift + click: all up to here</span>"
+    "<span class=wv-furthest> · Shift + Y, N or a class key judges the selected</span>"
+)
 
 
 def gallery_sheet(here: Here[Any], thumbnails: Thumbnails, room: SheetRoom) -> tuple[Markup, int]:

@@ -170,7 +170,7 @@ class _Panes:
         name = ": ".join(filter(None, _named(other, self.answer.pixel_um)))
         if self.by_grey:
             return f"Brightness matched · {name}"
-        return f"Heights levelled to each other, over the median of the reference · {name}"
+        return f"Levelled heights over the reference's median · {name}"
 
     def _reference_choice(self) -> Markup:
         """Return the choice between the reference and the last scan, if there are both."""
