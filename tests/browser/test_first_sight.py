@@ -40,6 +40,15 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
 };
 """
 """Notes each canvas that gets a context of the graphics card."""
+NOTE_WIDTHS = """
+window.widths = [];
+const width = Object.getOwnPropertyDescriptor(HTMLCanvasElement.prototype, 'width');
+Object.defineProperty(HTMLCanvasElement.prototype, 'width', {get: width.get, set(value) {
+  width.set.call(this, value);
+  if (this.dataset.engine && value !== 300 && window.widths.at(-1) !== value) window.widths.push(value);
+}});
+"""
+"""Notes each new width of the scene; a canvas begins with 300."""
 SILENT = "window.Worker = class { postMessage() {} terminate() {} addEventListener() {} };"
 """viser's client speaks with the program in a worker."""
 
@@ -89,6 +98,20 @@ def test_slow_graphics_are_told_at_the_foot_and_not_over_the_tools(serve_anew: C
     page.reload()
     expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")
     assert page.evaluate("window.contexts.length") == 2, "that of the scene, and the one by which viser tells"
+
+
+@pytest.mark.parametrize("width", [1366, 1600])
+def test_the_scene_has_its_size_from_the_beginning(serve_anew: Callable[[fake.FakeSession], Page], width: int):
+    """Each change takes a browser without a graphics card up to a second."""
+    page = serve_anew(fake.FakeSession(fake.planned()))
+    page.set_viewport_size({"width": width, "height": 768})
+    page.add_init_script(NOTE_WIDTHS)
+    page.reload()
+    expect(page.locator("#wv-shell")).to_have_count(0)
+    expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")
+    scene = page.locator("canvas").first.evaluate("canvas => canvas.clientWidth")
+    widths = page.evaluate("window.widths")
+    assert (widths[0], max(widths)) == (scene, scene), "narrower ones are of fewer pixels for slow graphics"
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (1920, 1080)])
