@@ -66,3 +66,7 @@ def test_a_place_listed_alone_is_forgotten_when_its_numbers_are_of_other_defects
     now = session.snapshot.inspection
     session.change(inspection=replace(now, search=now.search + 1))
     expect(page.locator(".wv-alone")).to_have_count(0)
+    page.reload()
+    go_to(page, "Review")
+    expect(page.locator(".wv-stack-list tr")).to_have_count(3)
+    expect(page.locator(".wv-alone")).to_have_count(0)

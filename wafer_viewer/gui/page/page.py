@@ -339,10 +339,10 @@ class Page:
                 self.view = replace(self.view, **self.recalled.chosen)
 
     def _forget_defects(self, search: int) -> None:
-        """Show all defects again after a search: the chosen numbers are of other defects now."""
-        if self._search not in (None, search):
-            with self._lock:
-                self.view = replace(self.view, defects=replace(self.view.defects, numbers=()), marked=())
+        """Show all defects again after a search or a reload: the chosen numbers may be of other defects now."""
+        listing = self.view.defects
+        if search != self._search and (listing.numbers or self.view.marked):
+            self.change(defects=replace(listing, numbers=()), marked=())
         self._search = search
 
     def _tell_standing(self, snapshot: Snapshot) -> None:
