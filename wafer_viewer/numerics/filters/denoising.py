@@ -11,12 +11,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.jit import Bools, Float32s, Int, Int32s, Int64s, Real, kernel, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import (
+    Bools,
+    Float32s,
+    Float64s,
+    Int,
+    Int32s,
+    Int64s,
+    Real,
+    kernel,
+    lean_kernel,
+    lean_part,
+)
 
 LINE_REACH_PX = 5
 """Half length of a line: on its 11 pixels, a feature of up to 5 pixels is a minority."""
 
 
+CLOUD_REACH_PX = 8
+"""Distance along rows and columns up to which neighbours in a point cloud are looked for on its lattice."""
 _BATCH_PX = 64
 """Pixels of a row that are tested together, so that a test that decides about all of them is the last one."""
 
@@ -352,3 +365,45 @@ def _mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, nearest: Float
         for k in range(count):
             total += nearest[k]
         out[n] = total / np.float32(count) if 2 * count >= nearest.size else np.inf
+
+
+def distances_in_cloud(z_um: Float32s, pixel_um: Real, neighbours: Int) -> Float64s:
+    """Return the mean distance in space from each pixel to its nearest measured others, um, float64 [row, col].
+
+    NaN where it is not measured, and where one of the nearest may lie further than `CLOUD_REACH_PX` pixels away.
+    """
+    out = np.full(z_um.shape, np.nan)
+    _cloud_distances(np.ascontiguousarray(z_um), np.float64(pixel_um) ** 2, np.empty(neighbours, np.float64), out)
+    return out
+
+
+@lean_kernel
+def _cloud_distances(z_um: Float32s, pixel_um2: Real, nearest: Float64s, out: Float64s) -> None:
+    """Go outwards ring by ring until the next one is further away than all that were found: those are the nearest."""
+    rows, cols = z_um.shape
+    for row in range(rows):
+        for col in range(cols):
+            z, count = np.float64(z_um[row, col]), 0
+            if z != z:
+                continue
+            for reach in range(1, CLOUD_REACH_PX + 1):
+                for down in range(max(-reach, -row), min(reach, rows - 1 - row) + 1):
+                    stride = 1 if abs(down) == reach else 2 * reach
+                    for right in range(-reach, reach + 1, stride):
+                        if col + right < 0 or col + right >= cols:
+                            continue
+                        rise = np.float64(z_um[row + down, col + right]) - z
+                        away = rise * rise + pixel_um2 * (down * down + right * right)
+                        if away == away and (count < nearest.size or away < nearest[count - 1]):
+                            count = min(count + 1, nearest.size)
+                            position = count - 1
+                            while position > 0 and nearest[position - 1] > away:
+                                nearest[position] = nearest[position - 1]
+                                position -= 1
+                            nearest[position] = away
+                if count == nearest.size and nearest[count - 1] <= pixel_um2 * (reach + 1) ** 2:
+                    total = 0.0
+                    for k in range(count):
+                        total += np.sqrt(nearest[k])
+                    out[row, col] = total / count
+                    break

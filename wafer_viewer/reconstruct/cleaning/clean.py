@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe
-from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, few_near, mean_distances
+from wafer_viewer.numerics.filters.denoising import NEIGHBOUR_REACH_PX, distances_in_cloud, few_near, mean_distances
 from wafer_viewer.numerics.filters.interpolation import fill_gaps, fill_rows
 from wafer_viewer.numerics.filters.regions import blank, blanked
 from wafer_viewer.numerics.normal_statistics import MAD_TO_SIGMA, median
@@ -60,6 +60,7 @@ _MOVED_FLOORS = 1 / 3
 
 Map = NDArray[np.float32]
 Found = NDArray[np.bool_]
+Places = NDArray[np.intp]
 
 
 def find_outliers(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
@@ -109,21 +110,29 @@ def far_on_lattice(z_um: Map, how: Outliers) -> Found:
 
 
 def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
-    """Detect outliers by the paper's method, with Open3D's neighbour search."""
-    open3d = load_open3d()
+    """Detect outliers by the paper's method: neighbours near on the lattice, the others by Open3D's search."""
     rows, cols = np.nonzero(np.isfinite(z_um))
     found = np.zeros(z_um.shape, bool)
     if len(rows) <= how.neighbours:
         return found
-    points = np.stack([cols * pixel_um, -rows * pixel_um, z_um[rows, cols]], axis=1).astype(np.float64)
-    cloud = open3d.core.Tensor.from_numpy(points)
-    tree = open3d.core.nns.NearestNeighborSearch(cloud)
-    tree.knn_index()
-    _, squared = tree.knn_search(cloud, how.neighbours + 1)
-    distance = np.sqrt(squared.numpy())[:, 1:].mean(axis=1)
+    distance = distances_in_cloud(z_um, pixel_um, how.neighbours)[rows, cols]
+    if (beyond := np.isnan(distance)).any():
+        distance[beyond] = _searched_distances(z_um, pixel_um, rows, cols, beyond, how.neighbours)
     far = distance > _threshold(distance, how)
     found[rows[far], cols[far]] = True
     return found
+
+
+def _searched_distances(
+    z_um: Map, pixel_um: float, rows: Places, cols: Places, chosen: Found, neighbours: int
+) -> NDArray[np.float64]:
+    """Return the mean distances of the chosen points to their nearest ones in the cloud of all."""
+    open3d = load_open3d()
+    points = np.stack([cols * pixel_um, -rows * pixel_um, z_um[rows, cols]], axis=1).astype(np.float64)
+    tree = open3d.core.nns.NearestNeighborSearch(open3d.core.Tensor.from_numpy(points))
+    tree.knn_index()
+    _, squared = tree.knn_search(open3d.core.Tensor.from_numpy(points[chosen]), neighbours + 1)
+    return np.sqrt(squared.numpy())[:, 1:].mean(axis=1)
 
 
 def _threshold(distances: NDArray[np.floating], how: Outliers) -> float:
