@@ -276,7 +276,8 @@ def report(
     Args:
         dataset: The dataset.
         out: The file, FILE.html or FILE.pdf; a PDF is printed by the Chromium, Chrome or Edge of this machine. FILE.xml
-            has the results for other programs, as a digital calibration certificate (DCC 3.1.2).
+            has the results for other programs, as a digital calibration certificate (DCC 3.1.2); FILE.dfq the values
+            with their limits for statistical process control (Q-DAS, AQDEF).
         title: What stands over it; the dataset's name without one.
         number: Number of the report, on every page; the dataset's name and the day of the scan without one.
         customer: For whom it is made.

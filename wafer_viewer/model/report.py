@@ -56,8 +56,8 @@ class Holds:
     nothing: bool = False
 
 
-PAGE, PRINTED, DIGITAL = ".html", ".pdf", ".xml"
-"""Endings of the files that a report may be written to."""
+PAGE, PRINTED, DIGITAL, TRANSFER = ".html", ".pdf", ".xml", ".dfq"
+"""Endings of the files that a report may be written to; the last two have the results alone, for other programs."""
 Contents = dict[Part, Holds]
 Pairs = tuple[tuple[str, str], ...]
 

@@ -5,20 +5,26 @@ The clock is not used: the same dataset gives the same bytes. The calibration is
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from datetime import datetime
+from itertools import groupby
 from pathlib import Path
 
 from wafer_viewer._version import __version__
 from wafer_viewer.draw.charts.marked_map import MapKey, marked_map_svg
 from wafer_viewer.draw.number_format import number, share
-from wafer_viewer.draw.quantities import recipe_rows
+from wafer_viewer.draw.quantities import UNIT_SIGNS, explained_quantity, recipe_rows
 from wafer_viewer.draw.surface.display_style import DisplayStyle
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.model.job import keys_of_features, keys_under_review
+from wafer_viewer.model.job import FeatureVerdict, keys_of_features, keys_under_review
+from wafer_viewer.model.measurement.result_rows import title_of
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.report import (
     DIGITAL,
     PART_TITLES,
+    TRANSFER,
     Contents,
     Figure,
     Holds,
@@ -28,6 +34,7 @@ from wafer_viewer.model.report import (
     ReportOrder,
     ReportSection,
     Table,
+    zone_of,
 )
 from wafer_viewer.session.reporting.report_data import (
     LABORATORY,
@@ -60,8 +67,9 @@ from wafer_viewer.session.reporting.sections import (
     results,
     verdict,
 )
-from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.atomic_files import atomic_write, write_text
 from wafer_viewer.store.records.digital_certificate import CertifiedResults, NamedResult, results_xml
+from wafer_viewer.store.tables.aqdef import Characteristic, MeasuredPart, MeasuredValue, transfer_file
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
@@ -158,6 +166,77 @@ def certified_results(material: Material, order: ReportOrder) -> CertifiedResult
     )
 
 
+def measured_part(material: Material) -> MeasuredPart:
+    """Return features and results of a dataset for statistical process control: a value of a feature for each die."""
+    scan, sample = material.dataset.scan, material.dataset.scan.job.sample
+    name = sample.product or scan.job.product or sample.name or material.dataset.path.stem
+    wafer = sample.wafer_id or sample.name or material.dataset.path.stem
+    warned = (
+        "SIMULATED" if material.dataset.simulated else "",
+        f"uncalibrated: {why}" if (why := material.uncalibrated) else "",
+    )
+    return MeasuredPart(
+        number=name,
+        name=sample.name or name,
+        revision=scan.job.revision,
+        instrument=scan.rig or scan.imported_from,
+        remark="; ".join(filter(None, warned)),
+        lot=sample.lot,
+        at=_local_time(material),
+        characteristics=(*_controlled_features(material, wafer), *_controlled_results(material, wafer)),
+    )
+
+
+def _local_time(material: Material) -> datetime | None:
+    """Return the time of the scan in the zone of the laboratory; None if only a day, or nothing, is known."""
+    taken = material.dataset.scan.taken
+    try:
+        at = datetime.fromisoformat(taken)
+    except ValueError:
+        return None
+    if at.tzinfo is None:
+        return at if len(taken) > len("2026-03-01") else None
+    return at.astimezone(zone_of(material.laboratory.zone))
+
+
+def _controlled_features(material: Material, wafer: str) -> Iterator[Characteristic]:
+    for n, (feature, items) in enumerate(groupby(material.features, lambda item: item.feature), 1):
+        yield Characteristic(
+            number=f"F{n}",
+            name=feature.name,
+            unit=UNIT_SIGNS[feature.unit],
+            values=[_judged_value(item, wafer) for item in items],
+            nominal=feature.nominal,
+            lower=feature.lower_limit,
+            upper=feature.upper_limit,
+            remark=feature.decision_rule.replace("_", " "),
+        )
+
+
+def _judged_value(item: FeatureVerdict, wafer: str) -> MeasuredValue:
+    part = f"{wafer}, die {item.die}" if item.die else wafer
+    if item.measured is None:
+        return MeasuredValue(None, part, f"not measured: {item.why}")
+    return _controlled(item.measured, part, item.word)
+
+
+def _controlled_results(material: Material, wafer: str) -> Iterator[Characteristic]:
+    for finding in material.findings:
+        for n, (symbol, quantity) in enumerate(finding.quantities.items(), 1):
+            yield Characteristic(
+                number=f"{finding.number}.{n}",
+                name=f"{finding.name or kind_of(finding)}, {title_of(type(finding), symbol)}",
+                unit=UNIT_SIGNS[quantity.unit],
+                values=[_controlled(quantity, wafer)],
+            )
+
+
+def _controlled(quantity: Quantity, part: str, word: str = "") -> MeasuredValue:
+    coverage = f"k = {quantity.k:.2f}" if quantity.expanded is not None else ""
+    text = "; ".join(filter(None, (explained_quantity(quantity), coverage, word)))
+    return MeasuredValue(quantity.value if math.isfinite(quantity.value) else None, part, text)
+
+
 def _number(material: Material, order: ReportOrder) -> str:
     """Return the number of a report: the one given, or the dataset's name with the day of the scan."""
     return order.number.strip() or f"{material.dataset.path.stem}-{material.day.replace('-', '')}"
@@ -180,6 +259,10 @@ def make_report(
 
     if out.suffix == DIGITAL:
         write_text(out, results_xml(certified_results(gather(folder, result), order)))
+        return out
+    if out.suffix == TRANSFER:
+        with atomic_write(out) as temporary:
+            temporary.write_bytes(transfer_file(measured_part(gather(folder, result))))
         return out
     write_report(report_of(folder, result, order, progress=progress, should_stop=should_stop), out)
     return out
