@@ -216,11 +216,12 @@ def test_any_quantity_of_any_tool_is_judged_against_a_limit_that_may_be_open():
         ("mean_height", {"lower_limit": HEIGHT_UM + 0.5}, "fail"),
         ("", {"upper_limit": 2.0}, "fail"),
         ("", {"upper_limit": 5.0}, "pass"),
-        ("height_range", {"upper_limit": 5.0}, "no verdict"),
+        ("height_range", {"upper_limit": 2.0}, "fail"),
+        ("height_range", {"upper_limit": 5.0}, "pass"),
     ],
 )
 def test_heights_of_bumps_and_their_coplanarity_are_judged_on_a_die(bumps, quantity, limits, word):
-    """One of 100 bumps is 3 um too high; the range of heights has no uncertainty, so no limit is held against it."""
+    """One of 100 bumps is 3 um too high."""
     whole = (Region.rectangle(10, 10, 410, 410),)
     feature = Feature(name="bumps", tool="coplanarity", quantity=quantity, per_die=True, places=whole, **limits)
     (item,) = judge_features(bumps.surface, [feature], None, calibration_valid=True, dies=OVER_ALL_BUMPS)

@@ -383,8 +383,8 @@ def coplanarity(
     Returns
     -------
     Coplanarity
-        Coplanarity and mean bump height in um with expanded uncertainties (k = 2), range of the bump heights in um
-        without uncertainty, tilt of the reference plane in mrad, and every bump, the largest deviation first.
+        Coplanarity, mean and range of the bump heights in um with expanded uncertainties (k = 2), tilt of the reference
+        plane in mrad, and every bump, the largest deviation first.
 
     Raises
     ------
@@ -418,14 +418,13 @@ def coplanarity(
     fitted = PLANES[reference](bumps.tops)
     listed = tuple(_bump(reading, top, off) for top, off in zip(bumps.tops, fitted.deviation_um.tolist(), strict=True))
     resolved = () if bumps.tops[0].errors.resolved else (UNRESOLVED_NOTE,)
-    heights = sorted((bump.height for bump in listed), key=lambda height: height.value_um)
     return Coplanarity(
         **reading.result_fields(name, level, DEFINITIONS[reference], EXTREMES, *resolved, *reading.not_in_budget()),
         region=region,
         options=CoplanarityOptions(reference=reference),
         coplanarity=_coplanarity(reading, bumps.tops, fitted),
         mean_height=_mean_height(reading, bumps.tops),
-        height_range=reading.length(heights[-1].value_um - heights[0].value_um, None),
+        height_range=_height_range(reading, bumps.tops),
         n_bumps=len(listed),
         left_out=bumps.left_out,
         tilt_mrad=fitted.tilt_mrad,
@@ -479,10 +478,30 @@ def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: fl
 
 def _coplanarity(reading: MeasurementContext, tops: tuple[Top, ...], fitted: FittedBump) -> Length:
     low, high = (tops[k] for k in fitted.extremes)
-    apart = WeightedHeights.joined((high.top, low.top.times(-1.0)))
-    noise_um = Scatter.largest(top.errors.scatter(apart) for top in (low, high))
     u_um = np.array([top.errors.scatter(top.top).u for top in tops])
-    return _length(reading, fitted.range_um, noise_um, **{SELECTION: selection_um(fitted.deviation_um, u_um)})
+    selection = {SELECTION: selection_um(fitted.deviation_um, u_um)}
+    return _length(reading, fitted.range_um, _scatter_between(low, high, low.top, high.top), **selection)
+
+
+def _height_range(reading: MeasurementContext, tops: tuple[Top, ...]) -> Length:
+    """Return the difference of the highest and the lowest bump over their surroundings."""
+    heights_um = np.array([top.height_um for top in tops])
+    low, high = tops[int(np.argmin(heights_um))], tops[int(np.argmax(heights_um))]
+    u_um = np.array([top.errors.scatter(top.over_ground).u for top in tops])
+    return _length(
+        reading,
+        float(np.ptp(heights_um)),
+        _scatter_between(low, high, low.over_ground, high.over_ground),
+        **{
+            SELECTION: selection_um(heights_um, u_um),
+            WINDOW: abs(reading.sag_um(high.curvature) - reading.sag_um(low.curvature)),
+        },
+    )
+
+
+def _scatter_between(low: Top, high: Top, of_low: WeightedHeights, of_high: WeightedHeights) -> Scatter:
+    apart = WeightedHeights.joined((of_high, of_low.times(-1.0)))
+    return Scatter.largest(top.errors.scatter(apart) for top in (low, high))
 
 
 def selection_um(deviation_um: Floats, u_um: Floats) -> float:
