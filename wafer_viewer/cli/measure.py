@@ -34,7 +34,7 @@ from wafer_viewer.cli.arguments import (
     outlined,
     with_flags,
 )
-from wafer_viewer.cli.output import print_json, to_program
+from wafer_viewer.cli.output import print_json, progress, to_program
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyResult
 from wafer_viewer.model.measurement.measuring_tool import MeasuringTool, PlaceAsked, ToolName
@@ -192,7 +192,9 @@ def measure_site_range(
 
     surface, calibrated = _surface(src, level, field, result)
     within = Region.rectangle(*region) if region is not None else None
-    print_json(msgspec.to_builtins(site_ranges(surface, site, within, calibration_valid=calibrated)))
+    with progress("Measuring the sites") as tell:
+        found = site_ranges(surface, site, within, calibration_valid=calibrated, progress=tell)
+    print_json(msgspec.to_builtins(found))
 
 
 def measure_profile(

@@ -80,6 +80,16 @@ def test_sites_that_cannot_be_are_refused(site_um, region, message):
         site_ranges(surface_of(z), site_um, region)
 
 
+def test_the_share_done_is_told_and_a_stop_is_heard():
+    shares: list[float] = []
+    surface = surface_of(stepped(), calibration=calibration())
+    site_ranges(surface, (SITE_UM, SITE_UM), progress=shares.append)
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1], len(shares)) == (0.0, 1.0, 13)
+    with pytest.raises(MeasureError, match="was stopped"):
+        site_ranges(surface, (SITE_UM, SITE_UM), should_stop=lambda: len(shares) > 0)
+
+
 def test_from_the_command_line(tmp_path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "wafer.npz"
     write_npz(surface_of(stepped(), calibration=calibration()), path)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
 import numpy as np
 
 from wafer_viewer.measure.base.height_samples import Layer
@@ -11,6 +14,7 @@ from wafer_viewer.measure.base.plane_faces import Area, area_of, least_squares_p
 from wafer_viewer.measure.tools.flatness import form_lines, noise_of_form
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Site, SiteRanges
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -34,8 +38,11 @@ MOST_SITES = 10_000
 """Largest number of sites of a lattice."""
 MOST_WITH_U = 400
 """Largest number of sites that all get an uncertainty, which takes up to a quarter of a second each."""
+READING_SHARE = 0.2
+"""Part of the time in which the heights of all sites are read; in the rest their uncertainties are evaluated."""
 QUARTER = 0.25
 """Default size of a site, relative to the region's sides."""
+T = TypeVar("T")
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 AS_MOUNTED = "Front-surface site range, as mounted: highest over lowest about each site's plane of least squares."
@@ -56,6 +63,8 @@ def site_ranges(
     *,
     calibration_valid: bool = True,
     layer: Layer | None = None,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
 ) -> SiteRanges:
     """Measure the range of heights in each site of a lattice.
 
@@ -75,6 +84,10 @@ def site_ranges(
         calibration, results have status 'uncalibrated' and no uncertainty.
     layer : {'unsmoothed', 'smoothed', 'filled'}, optional
         Height layer. Default None: the layer on which the recipe of the surface measures.
+    progress : callable, optional
+        Receives the completed fraction, 0 to 1.
+    should_stop : callable, optional
+        Returns True if the work should stop; asked between sites.
 
     Returns
     -------
@@ -91,6 +104,8 @@ def site_ranges(
         If no site fits, or more than 10 000 do.
     MeasureError
         If no site has half of its area measured, or the points of a site do not determine its plane.
+    MeasureError
+        If the work is stopped.
 
     Notes
     -----
@@ -105,7 +120,15 @@ def site_ranges(
     reading = MeasurementContext.of(surface, layer, calibration_valid)
     within = region or Region.rectangle(*_bounds_um(surface))
     boxes, rows, cols = _lattice(site_um, within.bounds_um)
-    areas = [_area(reading, box.without(*within.excluded)) for box in boxes]
+
+    def counted(sites: Sequence[T], from_share: float, to_share: float) -> Iterator[T]:
+        for n, each in enumerate(sites):
+            if should_stop():
+                raise MeasureError("The measurement of the sites was stopped.")
+            progress(from_share + (to_share - from_share) * n / len(sites))
+            yield each
+
+    areas = [_area(reading, box.without(*within.excluded)) for box in counted(boxes, 0.0, READING_SHARE)]
     ranges_um = [None if area is None else float(np.ptp(least_squares_plane(area.points)[1])) for area in areas]
     measured = [(area, found) for area, found in zip(areas, ranges_um, strict=True) if area and found is not None]
     if not measured:
@@ -119,8 +142,9 @@ def site_ranges(
             range=None if area is None or found is None else _range(reading, area, found, with_u=few),
             measured_fraction=0.0 if area is None else area.measured_fraction,
         )
-        for box, area, found in zip(boxes, areas, ranges_um, strict=True)
+        for box, area, found in counted([*zip(boxes, areas, ranges_um, strict=True)], READING_SHARE, 1.0)
     )
+    progress(1.0)
     return SiteRanges(
         region=within,
         site_width_um=site_um[0],
