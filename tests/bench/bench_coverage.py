@@ -1,7 +1,7 @@
 """How often U covers the truth: every tool, on errors correlated over several lengths, and on reconstructed stacks.
 
     python tests/bench/bench_coverage.py [--quick] [--runs N] [--from SEED] [--only TOOL ...] [--correlation PX ...]
-    python tests/bench/bench_coverage.py --reconstructed [N] [--quick] [--from SEED] [--only TOOL ...]
+    python tests/bench/bench_coverage.py --reconstructed [N] [--rays] [--quick] [--from SEED] [--only TOOL ...]
 
 Each run draws a sample of its own by seed (tilt, sizes, depth or radius) with normal noise of 0.1 um, correlated over
 so many pixels: the standard deviation of the Gaussian that white noise is smoothed with is half of it, and a focus
@@ -11,7 +11,8 @@ themselves say. The texture is told its noise.
 --reconstructed: the same samples as focus stacks (`tests/truth/smooth_scenes.py`) with an instrument of their own by
 seed: NA .14 to .45, steps of .2 to .9 depths of field, texture contrast 4 to 25 %, 6 to 40 ke, frames that jitter or
 flicker in a fifth each. N stacks (60) of each sample are reconstructed with the default recipe and measured by the same
-tools. The texture is told the noise that repeats would show: the scatter of its errors.
+tools. The texture is told the noise that repeats would show: the scatter of its errors. --rays: their lens blurs by
+rays instead of waves.
 
 The goal: U (k = 2) covers 93 to 97 % of the runs, and in no cell less than 90 %; of reconstructed stacks U is 2 to 4.5
 times the error in the median, as it is 3.0 times one that is normal. Seeds below 1000 are
@@ -31,13 +32,14 @@ import numpy as np
 from tests.bench.harness import percent, read_options, show, some_of
 from tests.support.bumped_surface import bumped
 from tests.support.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from tests.truth.smooth_scenes import Optics, drawn_optics, stack_of
+from tests.truth.smooth_scenes import Lens, Optics, drawn_optics, stack_of
 from tests.truth.unseen import FIRST_REPORTED_SEED, use_of
 from wafer_viewer.measure.texture.areal_texture import texture
 from wafer_viewer.measure.tools.angle import face_angle
 from wafer_viewer.measure.tools.coplanarity import coplanarity
 from wafer_viewer.measure.tools.flatness import flatness
 from wafer_viewer.measure.tools.point import distance, point_height
+from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.measure.tools.radius import bump_radius
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.measure.tools.step_profile import step_profile
@@ -103,10 +105,11 @@ class Reconstructed:
     """A focus stack of a sample, reconstructed with the defaults."""
 
     seed: int
+    lens: Lens = "waves"
 
     @property
     def optics(self) -> Optics:
-        return drawn_optics(np.random.default_rng((self.seed, 9)))
+        return dataclasses.replace(drawn_optics(np.random.default_rng((self.seed, 9))), lens=self.lens)
 
     def measured(self, z_um: np.ndarray) -> HeightMap:
         """The surface as it is measured."""
@@ -193,7 +196,7 @@ def bump(errors: Instrument) -> Answers:
 
 
 def bumps(errors: Instrument) -> Answers:
-    """Coplanarity and mean height of 16 bumps, one of them tall; of those that are found."""
+    """Coplanarity, mean and range of heights of 16 bumps, one of them tall; of those that are found."""
     high_um = 15.0 if isinstance(errors, Errors) else SHALLOW_UM
     made = bumped(side=4, seed=errors.seed, noise_um=0.0, high_um=high_um, tall_um=0.2 * high_um)
     surface = errors.measured(made.surface.z_um)
@@ -203,6 +206,7 @@ def bumps(errors: Instrument) -> Answers:
     yield "coplanarity", made.range_um, found.coplanarity
     over = made.tops[:, 2] - made.tilt * made.tops[:, 0]
     yield "mean height of bumps", float(over.mean()), found.mean_height
+    yield "range of bump heights", float(np.ptp(over)), found.height_range
 
 
 def bowed(errors: Instrument) -> Answers:
@@ -218,6 +222,18 @@ def bowed(errors: Instrument) -> Answers:
     yield "FLTt", truth.flt_t.value_um, found.flt_t
     yield "FLTt, minimum zone", truth.flt_t_minimum_zone.value_um, found.flt_t_minimum_zone
     yield "FLTq", truth.flt_q.value_um, found.flt_q
+
+
+def section(errors: Instrument) -> Answers:
+    """Pt and rise of a profile over a tilted face with a bow, which may be lower than the noise."""
+    rng = errors.rng
+    x_um, y_um, z_um = ground(rng)
+    z_um = z_um + np.exp(rng.uniform(np.log(0.02), np.log(3.0))) * np.cos(x_um / 20 + y_um / 35)
+    across, down = rng.uniform(40, 75), rng.uniform(-50, 50)
+    line = Region.line(-across, -down, across, down, width_um=float(rng.choice([0.0, 3.0, 12.0])))
+    truth, found = profile(surface_of(z_um), line)[0], profile(errors.measured(z_um), line)[0]
+    yield "Pt", truth.pt.value_um, found.pt
+    yield "rise of a profile", truth.rise.value_um, found.rise
 
 
 def waves(errors: Instrument) -> Answers:
@@ -238,7 +254,7 @@ def waves(errors: Instrument) -> Answers:
 
 SAMPLES: dict[str, Callable[[Instrument], Answers]] = {
     "points": points, "step": step, "groove": groove, "angle": roof, "bump": bump, "bumps": bumps,
-    "flatness": bowed, "texture": waves,
+    "flatness": bowed, "section": section, "texture": waves,
 }  # fmt: skip
 
 
@@ -325,12 +341,13 @@ CELLS: dict[str, Callable[[Optics], bool]] = {
 """Parts of the instruments; steps in depths of field; frames that jitter are apart."""
 
 
-def show_reconstructed(names: Sequence[str], seeds: range) -> None:
+def show_reconstructed(names: Sequence[str], seeds: range, lens: Lens) -> None:
     """Coverage on reconstructed stacks, by quantity and by what they were taken with."""
     rows = []
     for name in names:
         began = time.perf_counter()
-        every = [(one.optics, answers(SAMPLES[name], one)) for one in map(Reconstructed, seeds)]
+        instruments = [Reconstructed(seed, lens) for seed in seeds]
+        every = [(one.optics, answers(SAMPLES[name], one)) for one in instruments]
         found = [(optics, one) for optics, one in every if one is not None]
         refused = len(every) - len(found)
         print(f"({name}: {refused} of {len(seeds)} refused, {time.perf_counter() - began:.0f} s)", flush=True)
@@ -341,9 +358,8 @@ def show_reconstructed(names: Sequence[str], seeds: range) -> None:
             shares = [part[quantity].counted if quantity in part else "" for part in parts.values()]
             rows.append((quantity, whole.verdict, *off, *shares))
     header = ("U covers, % of the stacks", "goal", "rms of error / u", "median of U / error", *CELLS)
-    show(
-        f"SIMULATED stacks, {len(seeds)} of each sample, seeds from {seeds.start} ({use_of(seeds.start)})", header, rows
-    )
+    drawn = f"seeds from {seeds.start} ({use_of(seeds.start)}), a lens of {lens}"
+    show(f"SIMULATED stacks, {len(seeds)} of each sample, {drawn}", header, rows)
 
 
 def main() -> None:
@@ -354,10 +370,13 @@ def main() -> None:
         only=some_of(SAMPLES),
         correlation=CORRELATIONS_PX,
         reconstructed={"type": int, "nargs": "?", "const": STACKS, "metavar": "N", "help": "stacks of each sample"},
+        rays={"action": "store_true", "help": "the lens of the stacks blurs by rays, not by waves"},
     )
     if asked.reconstructed:
         stacks = QUICK_STACKS if asked.quick else asked.reconstructed
-        show_reconstructed(asked.only, range(asked.first_seed, asked.first_seed + stacks))
+        show_reconstructed(
+            asked.only, range(asked.first_seed, asked.first_seed + stacks), "rays" if asked.rays else "waves"
+        )
         return
     seeds = range(asked.first_seed, asked.first_seed + (QUICK_RUNS if asked.quick else asked.runs))
     rows: dict[str, list[str]] = {}

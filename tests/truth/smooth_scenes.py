@@ -25,6 +25,9 @@ READ_NOISE, GREY = 0.002, 0.45
 """Read noise (half a grey value of 255) and mean light, as shares of white."""
 
 
+Lens = Literal["waves", "rays"]
+
+
 @dataclass(frozen=True)
 class Optics:
     """Lens, sweep, texture, noise and faults of a stack.
@@ -40,7 +43,7 @@ class Optics:
     full_well_e: float
     jitter_dof: float = 0.0
     flicker: float = 0.0
-    lens: Literal["waves", "rays"] = "waves"
+    lens: Lens = "waves"
 
     @property
     def depth_of_field_um(self) -> float:

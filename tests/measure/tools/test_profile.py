@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -10,7 +12,7 @@ from tests.support.surfaces import calibration, coordinates, surface_of
 from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.measure.tools import profile as module
 from wafer_viewer.measure.tools.flatness import flatness
-from wafer_viewer.measure.tools.profile import profile, slab_profile
+from wafer_viewer.measure.tools.profile import NOISE, SELECTION, profile, slab_profile
 from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
@@ -204,14 +206,41 @@ def test_a_long_line_is_read_coarsely_and_in_pieces(monkeypatch):
     assert found.notes == ("Read at level 2: each pixel is the mean of 16.",)
 
 
-def test_a_profile_has_no_budget_and_says_so():
-    line = Region.line(-5, 0, 5, 0)
-    calibrated = surface_of(slope(), calibration=calibration(), simulated=True)
-    found, _ = profile(calibrated, line)
-    assert (found.pt.status, found.pt.expanded_um) == ("not evaluated", None)
+def test_pt_and_rise_have_a_budget_where_the_surface_is_calibrated():
+    line = Region.line(-19.75, 0.25, 20.25, 0.25)
+    noisy = [slope() + np.random.default_rng(seed).normal(0, 0.05, slope().shape) for seed in range(10)]
+    made = [surface_of(z, calibration=calibration(), simulated=True) for z in noisy]
+    calibrated, (found, *more) = made[0], [profile(surface, line)[0] for surface in made]
+    assert found.pt.status == found.rise.status == "evaluated"
+    assert {line.name for line in found.pt.budget} >= {"z scale", NOISE, SELECTION}
+    assert SELECTION not in {line.name for line in found.rise.budget}
+    assert found.rise.expanded_um == pytest.approx(2 * math.sqrt(2) * 0.05, rel=0.25)
+    assert sum(abs(one.rise.value_um - 0.3 * 40) <= one.rise.expanded_um for one in (found, *more)) >= 8
     assert found.simulated
     assert profile(calibrated, line, calibration_valid=False)[0].rise.status == "uncalibrated"
     assert profile(surface_of(slope()), line)[0].pt.status == "uncalibrated"
+
+
+def test_the_mean_across_a_wide_line_has_less_noise():
+    noisy = slope() + np.random.default_rng(1).normal(0, 0.05, slope().shape)
+    surface = surface_of(noisy, calibration=calibration())
+    thin, wide = (profile(surface, Region.line(-20, 0, 20, 0, width_um=w))[0].rise.expanded_um for w in (0.0, 8.0))
+    assert wide < thin / 2
+
+
+def test_the_range_of_noise_alone_lies_within_u_of_nothing():
+    """Pt of a flat line is all noise: it grows from 0 to the range of many draws."""
+    flat = np.random.default_rng(2).normal(0, 0.05, (160, 200))
+    found, _ = profile(surface_of(flat, calibration=calibration()), Region.line(-45.25, 0.25, 45.25, 0.25))
+    assert found.pt.value_um > 0.2
+    assert found.pt.value_um <= found.pt.expanded_um < 3 * found.pt.value_um
+
+
+def test_where_little_is_measured_round_a_sample_there_is_no_u():
+    z = np.full((160, 200), np.nan)
+    z[80, :] = 1.0
+    found, _ = profile(surface_of(z, calibration=calibration()), Region.line(-45, -0.25, 45, -0.25))
+    assert (found.pt.status, found.pt.expanded_um) == ("not evaluated", None)
 
 
 @pytest.mark.parametrize(

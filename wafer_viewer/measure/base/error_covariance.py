@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER, Scatter, well_filled
-from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, height_window
+from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, height_window, points_in
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_fit import fit_plane
+from wafer_viewer.measure.base.robust_fit import fit_plane, plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights
@@ -235,6 +235,35 @@ def errors_of(
         3 * len(around),
     )
     return wide.covering(points, design, residuals_um) if wide.independent > own.independent else own
+
+
+NOISE_WINDOWS = 5
+"""Radius of the area for the noise round a place, in focus windows.
+
+The noise is the scatter about a plane. Errors are correlated over at least one window, so that a smaller area would
+not show them.
+"""
+UNKNOWN_WINDOW = 15
+"""Focus window assumed where the surface does not specify one."""
+MIN_NOISE_POINTS = 100
+"""Smallest number of measured points round a place for its noise."""
+
+
+def errors_round(reading: MeasurementContext, x_um: float, y_um: float) -> ErrorCovariance | None:
+    """Return the covariance of errors round a place, by the scatter about a plane; None where too little is measured.
+
+    Errors that are alike over much of the area are few independent ones: the plane takes a share of their scatter, and
+    what is left is widened by Student's t. Outliers do not count.
+    """
+    window = reading.surface.provenance.recipe.window
+    reach_px = NOISE_WINDOWS * (UNKNOWN_WINDOW if isinstance(window, str) else window)
+    near = points_in(reading.surface, Region.circle(x_um, y_um, reach_px * reading.surface.pixel_um), reading.layer, 0)
+    if len(near) < MIN_NOISE_POINTS:
+        return None
+    plane, fit = fit_plane(near)
+    used = near.select(fit.inliers)
+    design = plane_design(used, (plane.x_um, plane.y_um))
+    return errors_of(reading, 0, (used,), design, used.z_um - np.asarray(plane.at(used.x_um, used.y_um)))
 
 
 def side_by_side(parts: Sequence[HeightSamples]) -> HeightSamples:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import require_choice
 from wafer_viewer.model.surface.height_map import (
@@ -18,7 +17,6 @@ from wafer_viewer.model.surface.height_map import (
     HeightMap,
     Heights,
     Mosaic,
-    Provenance,
     ProvidesTexture,
     TexturedHeights,
     picture_of,
@@ -109,12 +107,6 @@ def level_for(surface: Mosaic, *regions: Region) -> int:
 def level_note(surface: Mosaic, level: int) -> tuple[str, ...]:
     """Return the note for a result measured at a coarser level; empty at level 0."""
     return (f"Read at level {level}: each pixel is the mean of {4**level}.",) if level else ()
-
-
-def length_without_budget(value_um: float, provenance: Provenance, calibration_valid: bool) -> Length:
-    """Return a length without a budget: 'not evaluated', or 'uncalibrated' without a valid calibration."""
-    calibrated = calibration_valid and provenance.calibration is not None
-    return Length(value_um=value_um, status="not evaluated" if calibrated else "uncalibrated")
 
 
 def require_region(region: object, what: str) -> None:

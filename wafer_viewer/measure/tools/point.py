@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wafer_viewer.measure.base.correlated_errors import Scatter
-from wafer_viewer.measure.base.error_covariance import WeightedHeights, errors_of
+from wafer_viewer.measure.base.error_covariance import ErrorCovariance, WeightedHeights, errors_round
 from wafer_viewer.measure.base.height_samples import HeightSamples, Layer, points_in
 from wafer_viewer.measure.base.measurement_context import Lines, MeasurementContext, combined, times
-from wafer_viewer.measure.base.robust_fit import fit_plane, plane_design
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Distance, PointHeight
 from wafer_viewer.model.quantity import Quantity
@@ -21,16 +19,6 @@ from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 
 NEXT_PX = 1.5
 """Radius of the median for a height: nine pixels where none is missing."""
-NOISE_WINDOWS = 5
-"""Radius of the area for the noise estimate, in focus windows.
-
-The noise is the scatter about a plane. Errors are correlated over at least one window, so that a smaller area would
-not show them.
-"""
-UNKNOWN_WINDOW = 15
-"""Focus window assumed where the surface does not specify one."""
-MIN_NOISE_POINTS = 100
-"""Smallest number of measured points around a point for its noise."""
 MEDIAN_OF_NORMAL = math.pi / 2
 """Variance of the median of many normal values over that of their mean."""
 BY_HAND = "Not in the budget: where the points were set, {distortion}places of the fields."
@@ -177,17 +165,17 @@ def _spot(reading: MeasurementContext, place: Region) -> Spot:
         raise MeasureError(f"A height is measured at a point, this region is a {place.kind}: set a point.")
     point, pixel_um = place.points[0], reading.surface.pixel_um
     pixel = reading.surface.window(place)
-    near = points_in(
-        reading.surface, Region.circle(point.x_um, point.y_um, _reach_px(reading) * pixel_um), reading.layer, 0
-    )
-    adjacent = np.hypot(near.x_um - point.x_um, near.y_um - point.y_um) <= NEXT_PX * pixel_um
-    if not adjacent.any():
+    near = points_in(reading.surface, Region.circle(point.x_um, point.y_um, 2 * NEXT_PX * pixel_um), reading.layer, 0)
+    adjacent = near.select(np.hypot(near.x_um - point.x_um, near.y_um - point.y_um) <= NEXT_PX * pixel_um)
+    if not len(adjacent):
         raise MeasureError(
             f"No height was measured at ({point.x_um:.1f}, {point.y_um:.1f}) um: "
             "set the point where the surface has no holes."
         )
-    noise_um = _at_least(_noise_um(reading, near, adjacent), _peak_noise_um(reading, pixel))
-    return Spot(point.x_um, point.y_um, float(np.median(near.z_um[adjacent])), noise_um, int(adjacent.sum()))
+    errors = errors_round(reading, point.x_um, point.y_um)
+    scatter_um = None if errors is None else _of_median(errors, adjacent)
+    noise_um = _at_least(scatter_um, _peak_noise_um(reading, pixel))
+    return Spot(point.x_um, point.y_um, float(np.median(adjacent.z_um)), noise_um, len(adjacent))
 
 
 def _peak_noise_um(reading: MeasurementContext, pixel: HeightMap) -> float | None:
@@ -209,26 +197,10 @@ def _at_least(scatter_um: Scatter | None, peak_um: float | None) -> Scatter | No
     return Scatter.largest(known) if known else None
 
 
-def _reach_px(reading: MeasurementContext) -> int:
-    window = reading.surface.provenance.recipe.window
-    return NOISE_WINDOWS * (UNKNOWN_WINDOW if window == "auto" else window)
-
-
-def _noise_um(reading: MeasurementContext, near: HeightSamples, adjacent: NDArray[np.bool_]) -> Scatter | None:
-    """Return the uncertainty of the median of adjacent heights, by the scatter about a plane of those near.
-
-    Errors that are alike over much of the area are few independent ones: the plane takes a share of their scatter, and
-    what is left is widened by Student's t. Outliers do not count.
-    """
-    if len(near) < MIN_NOISE_POINTS:
-        return None
-    plane, fit = fit_plane(near)
-    used = near.select(fit.inliers)
-    design = plane_design(used, (plane.x_um, plane.y_um))
-    errors = errors_of(reading, 0, (used,), design, used.z_um - np.asarray(plane.at(used.x_um, used.y_um)))
-    each = near.select(adjacent)
-    mean = errors.scatter(WeightedHeights.of(each, np.full(len(each), 1 / len(each))))
-    single = errors.scatter(WeightedHeights.of(each.select(np.arange(len(each)) == 0), np.ones(1)))
+def _of_median(errors: ErrorCovariance, adjacent: HeightSamples) -> Scatter:
+    """Return the uncertainty of the median of adjacent heights."""
+    mean = errors.scatter(WeightedHeights.of(adjacent, np.full(len(adjacent), 1 / len(adjacent))))
+    single = errors.scatter(WeightedHeights.of(adjacent.select(np.arange(len(adjacent)) == 0), np.ones(1)))
     return min((mean.times(math.sqrt(MEDIAN_OF_NORMAL)), single), key=lambda scatter: scatter.expanded)
 
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from wafer_viewer.measure.base.height_samples import (
-    Floats,
-    Layer,
-    height_window,
-    layer_of,
-    length_without_budget,
-    level_note,
-)
+from wafer_viewer.measure.base.correlated_errors import Scatter
+from wafer_viewer.measure.base.error_covariance import WeightedHeights, errors_round
+from wafer_viewer.measure.base.height_samples import Floats, Layer, height_window, layer_of
+from wafer_viewer.measure.base.measurement_context import Z_SCALE, Lines, MeasurementContext
+from wafer_viewer.measure.base.pixel_noise import noise_um, pixel_noise_um
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.measurement.sections import SlabPoints
@@ -31,6 +30,11 @@ MAX_SAMPLES = 8192
 """Largest number of samples; longer lines are read at a coarser pyramid level."""
 _PIECE = 512
 """Samples per read, so that a slanted line never reads its complete bounding rectangle."""
+SELECTION = "selection of the highest and the lowest point"
+NOISE = "noise and form round the points"
+EXTREMES = ("Pt: noise draws the highest and the lowest point apart. A false height among them is not in its budget.",)
+_DRAWS = 64
+"""Number of draws of noise by which the growth of a range is estimated."""
 MIN_WEIGHT = 0.5
 """Smallest measured fraction of the pixels that contribute to a measured sample."""
 
@@ -67,8 +71,8 @@ def profile(
     Returns
     -------
     Profile
-        Pt (peak to valley) and the rise from the first to the last measured sample, in um. Their uncertainty is not
-        evaluated.
+        Pt (peak to valley) and the rise from the first to the last measured sample, in um, with expanded uncertainties
+        (k = 2). These are not evaluated where fewer than 100 points are measured round one of the samples.
     ProfileCurve
         Distance along the line (the arc length of a polyline), height, and stage x and y of each sample: float64 [n],
         in um; heights are NaN where the surface is unmeasured.
@@ -125,19 +129,104 @@ def numbers_of(
     finite = np.flatnonzero(np.isfinite(curve.z_um))
     if len(finite) < 2:
         raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
-    z_um = curve.z_um[finite]
+    reading = MeasurementContext.of(surface, measured_on, calibration_valid)
+    z_um, noise = curve.z_um[finite], _SampleNoise(reading, line, curve, level)
+    lowest, highest = (int(finite[end(z_um)]) for end in (np.argmin, np.argmax))
+    first, last = int(finite[0]), int(finite[-1])
+    pt_um, rise_um = float(curve.z_um[highest] - curve.z_um[lowest]), float(curve.z_um[last] - curve.z_um[first])
+    fields: dict[str, Any] = {**reading.result_fields(name, level, *reading.not_in_budget(*EXTREMES)), "filter": about}
     return Profile(
-        name=name,
-        surface=measured_on,
-        filter=about,
-        simulated=surface.provenance.simulated,
-        notes=level_note(surface, level),
+        **fields,
         line=line,
         length_um=length_um_of(line),
-        pt=length_without_budget(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
-        rise=length_without_budget(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
+        pt=reading.length(pt_um, noise.between(lowest, highest, pt_um, selected_from=z_um)),
+        rise=reading.length(rise_um, noise.between(first, last, rise_um)),
         measured_fraction=len(finite) / len(curve.z_um),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _SampleNoise:
+    """Noise of the samples of a curve, found round them where it is asked for."""
+
+    reading: MeasurementContext
+    line: Region
+    curve: ProfileCurve
+    level: int
+
+    def between(self, one: int, other: int, difference_um: float, selected_from: Floats | None = None) -> Lines | None:
+        """Return the budget of a difference of two samples; None where there is none.
+
+        selected_from: heights of all measured samples, where the two are the lowest and the highest of them.
+        """
+        if not self.reading.calibrated:
+            return None
+        found = [self._of(sample) for sample in (one, other)]
+        noise_um = [each for each in found if each is not None]
+        if len(noise_um) < len(found):
+            return None
+        lines: dict[str, float | Scatter] = {
+            Z_SCALE: self.reading.u_z_scale * abs(difference_um),
+            NOISE: Scatter.joined(*noise_um),
+            **self.reading.frame_lines(),
+        }
+        if selected_from is not None:
+            single_um = math.hypot(*(each.u for each in noise_um)) / math.sqrt(2)
+            lines[SELECTION] = growth_um(selected_from, single_um, self._alike_samples)
+        return lines
+
+    def _of(self, sample: int) -> Scatter | None:
+        x_um, y_um = self.curve.x_um, self.curve.y_um
+        errors = errors_round(self.reading, float(x_um[sample]), float(y_um[sample]))
+        if errors is None:
+            return None
+        surface = self.reading.surface
+        x_all, y_all = places_across(self.line, x_um, y_um, surface.pixel_um * 2**self.level)
+        heights = _interpolated(surface, x_all[sample], y_all[sample])
+        return noise_um(errors.scatter(heights), pixel_noise_um(self.reading, heights))
+
+    @property
+    def _alike_samples(self) -> int:
+        """Number of neighbouring samples within a focus window; 1 where it is not known."""
+        window = self.reading.surface.provenance.recipe.window
+        return 1 if isinstance(window, str) else max(1, round(window / 2**self.level))
+
+
+def _interpolated(surface: Mosaic, x_um: Floats, y_um: Floats) -> WeightedHeights:
+    """Return the mean of heights at places [n], each interpolated between the four pixels round it, as their sum."""
+    col, row = (x_um - surface.x0_um) / surface.pixel_um, (surface.y0_um - y_um) / surface.pixel_um
+    left, top = np.floor(col), np.floor(row)
+    corners = [
+        (left + right, top + down, np.abs(1 - right - (col - left)) * np.abs(1 - down - (row - top)))
+        for right, down in itertools.product((0, 1), repeat=2)
+    ]
+    cols, rows, weight = (np.concatenate(each) for each in zip(*corners, strict=True))
+    return WeightedHeights(
+        surface.x0_um + cols * surface.pixel_um, surface.y0_um - rows * surface.pixel_um, weight / len(x_um)
+    )
+
+
+def growth_um(z_um: Floats, noise_um: float, alike: int) -> float:
+    """Return by how much the range of heights along a line grows by their noise, on average.
+
+    Parameters
+    ----------
+    z_um : ndarray [sample]
+        Heights with their noise, um. Their scatter is reduced by that of the noise before noise is added anew.
+    noise_um : float
+        Standard deviation of the noise, um.
+    alike : int
+        Number of neighbouring samples whose noise is alike, by two passes of a mean.
+    """
+    variance_um2 = float(np.var(z_um))
+    share = math.sqrt(max(0.0, 1 - noise_um**2 / variance_um2)) if variance_um2 > 0 else 0.0
+    quiet_um = share * (z_um - z_um.mean())
+    errors = np.random.default_rng(0).standard_normal((_DRAWS, len(z_um) + 2 * alike))
+    for _ in range(2):
+        errors = uniform_filter1d(errors, alike, axis=1)
+    errors = errors[:, alike : alike + len(z_um)]
+    errors *= noise_um / float(np.sqrt(np.mean(errors**2)))
+    return max(0.0, float(np.mean(np.ptp(quiet_um + errors, axis=1))) - float(np.ptp(quiet_um)))
 
 
 def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileCurve:
