@@ -360,6 +360,7 @@ SCREENS: dict[str, Screen] = {
     "review-nothing-found": Screen(lambda: inspected_session(0), "review", seen=True),
     "review-not-inspected": Screen(lambda: StitchedSession(3, 3), "review", seen=True),
     "report": Screen(noted, "report", seen=True),
+    "report-for-programs": Screen(noted, "report", seen=True, then=(press_button("DFQ"), pause)),
     "trial": operated(operator.tried, "plan", unfold, bring_into_sight("On stored wafers")),
     "feature": operated(operator.tried, "plan", unfold, press_button("Feature…")),
     "report-of-nothing": Screen(lambda: StitchedSession(3, 3), "report", seen=True),

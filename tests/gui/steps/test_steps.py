@@ -122,6 +122,15 @@ def test_number_customer_and_kind_of_file_are_those_chosen(report: Here[ReportCh
     assert path.name == f"{report.snapshot.dataset.path.stem}-report-1.pdf"
 
 
+@pytest.mark.parametrize("ending", [".xml", ".dfq"])
+def test_a_file_for_other_programs_has_no_sections_and_needs_none(report: Here[ReportChoices], ending: str):
+    report.keep(ending=ending, left_out=frozenset(PARTS))
+    assert boxes(report) == {}
+    write(report)
+    (path,) = report.page.session.papers.paths
+    assert path.name == f"{report.snapshot.dataset.path.stem}-report-1{ending}"
+
+
 @pytest.mark.parametrize("chosen", ["", "en", "de"])
 def test_the_language_is_the_laboratorys_until_another_is_chosen(report: Here[ReportChoices], chosen: str):
     shown = {element.label: element for element in flat(report_step(report)) if isinstance(element, Input)}

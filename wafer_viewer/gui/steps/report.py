@@ -18,7 +18,19 @@ from wafer_viewer.gui.page.preconditions import no_surface
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Command, with_precondition
-from wafer_viewer.model.report import LANGUAGES, PAGE, PART_TITLES, PARTS, PRINTED, Holds, Language, Part, ReportOrder
+from wafer_viewer.model.report import (
+    DIGITAL,
+    LANGUAGES,
+    PAGE,
+    PART_TITLES,
+    PARTS,
+    PRINTED,
+    TRANSFER,
+    Holds,
+    Language,
+    Part,
+    ReportOrder,
+)
 from wafer_viewer.session.files.file_jobs import REPORT, free_path, newest_report
 from wafer_viewer.session.state.snapshot import Snapshot
 
@@ -27,10 +39,18 @@ UNKNOWN = Holds("…")
 TITLE_HINT = "Heading of the report; without one the dataset's name"
 NUMBER_HINT = "Number on every page; without one the dataset's name and the day of the scan"
 CUSTOMER_HINT = "For whom the report is made; the laboratory's own head is laboratory.toml in the data folder"
-ENDINGS = ((PAGE, "HTML"), (PRINTED, "PDF"))
+ENDINGS = ((PAGE, "HTML"), (PRINTED, "PDF"), (DIGITAL, "XML"), (TRANSFER, "DFQ"))
+FOR_PROGRAMS = {
+    DIGITAL: "All results with U, k and probability, as a digital calibration certificate (DCC 3.1.2).",
+    TRANSFER: "Features with limits, a value for each die, and all results, for statistical process control (AQDEF).",
+}
+"""What a file for other programs holds; it has no sections to choose."""
 LANGUAGE_HINT = "Language of the report; without a choice that of laboratory.toml in the data folder, or English"
 LANGUAGE_OPTIONS = (("", "Laboratory's"), *LANGUAGES.items())
-FILE_HINT = "HTML for screens and printers; a PDF is printed by the Chromium, Chrome or Edge of the viewer's machine"
+FILE_HINT = (
+    "HTML for screens and printers; a PDF is printed by the Chromium, Chrome or Edge of the viewer's machine; "
+    "XML and DFQ hold the results for other programs"
+)
 FAILED = "The report was not written"
 _NONE_SELECTED = Markup('<div class="wv-why">Not yet: no section is selected.</div>')
 
@@ -59,8 +79,8 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
         here.ask.forget(CONTENTS)
         return None
     contents = _contents(here)
-    chosen = chosen_parts(here)
-    idle = bool(chosen) and not here.ask.busy(WRITING)
+    chosen, for_programs = chosen_parts(here), FOR_PROGRAMS.get(here.own.ending)
+    idle = bool(chosen or for_programs) and not here.ask.busy(WRITING)
     floppy, sheet = viser.Icon.DEVICE_FLOPPY, viser.Icon.FILE_TEXT
     return [
         Html(html.title("Report", "One self-contained file.")),
@@ -77,9 +97,13 @@ def report_step(here: Here[ReportChoices]) -> Elements | None:
             options=LANGUAGE_OPTIONS,
         ),
         Html(html.head("Contents")),
-        *(element for part in PARTS for element in _section(here, part, contents.get(part, UNKNOWN), part in chosen)),
+        *(
+            [Html(html.remark(for_programs, "margin-bottom: 14px"))]
+            if for_programs
+            else (e for part in PARTS for e in _section(here, part, contents.get(part, UNKNOWN), part in chosen))
+        ),
         Buttons([Button("Save report as…", lambda: ask_where(here), floppy, disabled=not idle, failed=FAILED)], 34),
-        Html(_newest(_last(here.own, data.path)) if chosen else _NONE_SELECTED),
+        Html(_newest(_last(here.own, data.path)) if chosen or for_programs else _NONE_SELECTED),
         Button("Write report", lambda: write(here), sheet, "leading", disabled=not idle, failed=FAILED),
     ]
 
@@ -145,7 +169,7 @@ def _why_not(here: Here[ReportChoices], snapshot: Snapshot, view: View) -> str |
         return missing
     if here.ask.busy(WRITING):
         return "a report is being written."
-    return None if chosen_parts(here) else "no section is selected."
+    return None if here.own.ending in FOR_PROGRAMS or chosen_parts(here) else "no section is selected."
 
 
 def _begin(here: Here[ReportChoices], path: Path | None) -> Future[Path]:
@@ -182,9 +206,12 @@ def _last(choices: ReportChoices, dataset: Path) -> Path | None:
 
 
 def _newest(path: Path | None) -> Markup:
-    """Return a note with a link to the newest report; empty for None."""
+    """Return a note with a link to the newest report, which a file for other programs has not; empty for None."""
     if path is None:
         return Markup()
+    if path.suffix in FOR_PROGRAMS:
+        words = Markup("<div><b>The results are written.</b><p>{}</p></div>").format(path)
+        return Markup('<div class="wv-note good" role="status">{}</div>').format(words)
     link = Markup('<a class="wv-link" href="{}" target="_blank" rel="noopener">Open the report</a>').format(
         report_address(path)
     )
