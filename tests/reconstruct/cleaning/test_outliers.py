@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
+from wafer_viewer.numerics.open3d_library import load_open3d
 from wafer_viewer.reconstruct.cleaning.clean import clean, far_in_cloud, far_on_lattice, find_outliers, settle_cleaning
 
 
@@ -103,6 +104,24 @@ def test_the_paper_s_form_drops_what_is_far_from_its_neighbours_and_nothing_else
     z = np.zeros((80, 80))
     z[10:14, :] = 50
     assert not _found(z, _recipe("cloud")).any()
+
+
+def test_the_paper_s_form_is_open3d_s_statistical_outlier_removal() -> None:
+    """Open3D counts a point among its own neighbours, at no distance."""
+    z = _die(noise_um=0.5)
+    rng = np.random.default_rng(5)
+    false = rng.random(z.shape) < 0.05
+    z[false] += rng.uniform(-60, 60, np.count_nonzero(false))
+    z[rng.random(z.shape) < 0.03] = np.nan
+    rows, cols = np.nonzero(np.isfinite(z))
+    open3d = load_open3d()
+    points = open3d.utility.Vector3dVector(np.stack([0.5 * cols, 0.5 * rows, z[rows, cols].astype(np.float32)], axis=1))
+    _, kept = open3d.geometry.PointCloud(points).remove_statistical_outlier(16, 1.0)
+    removed = np.isfinite(z)
+    removed[rows[kept], cols[kept]] = False
+    found = far_in_cloud(z.astype(np.float32), 0.5, Outliers(mode="cloud", n_sigma=1.0, floor_um=0.001))
+    assert 100 < np.count_nonzero(found) < 0.2 * z.size
+    np.testing.assert_array_equal(found, removed)
 
 
 @pytest.mark.parametrize(("n_sigma", "noise_um", "apart"), [(1.0, 0.2, 0.0005), (3.0, 0.2, 0.002), (3.0, 0.5, 0.002)])

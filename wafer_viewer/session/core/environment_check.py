@@ -63,7 +63,7 @@ def _package(name: str) -> EnvironmentCheck:
 
 
 def check_open3d() -> EnvironmentCheck:
-    """Check that Open3D can be loaded, which searches faces, refines comparisons and removes outliers as the paper."""
+    """Check that Open3D can be loaded, which searches faces and refines comparisons."""
     try:
         return EnvironmentCheck("open3d", load_open3d().__version__)
     except Open3DMissing as fault:
