@@ -217,6 +217,11 @@ def growth_um(z_um: Floats, noise_um: float, alike: int) -> float:
         Standard deviation of the noise, um.
     alike : int
         Number of neighbouring samples whose noise is alike, by two passes of a mean.
+
+    Returns
+    -------
+    float
+        Mean growth of highest minus lowest, um, not below 0.
     """
     variance_um2 = float(np.var(z_um))
     share = math.sqrt(max(0.0, 1 - noise_um**2 / variance_um2)) if variance_um2 > 0 else 0.0
