@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from wafer_viewer.measure.base.correlated_errors import Scatter
 from wafer_viewer.measure.base.error_covariance import WeightedHeights, errors_round
@@ -223,6 +222,8 @@ def growth_um(z_um: Floats, noise_um: float, alike: int) -> float:
     float
         Mean growth of highest minus lowest, um, not below 0.
     """
+    from scipy.ndimage import uniform_filter1d
+
     variance_um2 = float(np.var(z_um))
     share = math.sqrt(max(0.0, 1 - noise_um**2 / variance_um2)) if variance_um2 > 0 else 0.0
     quiet_um = share * (z_um - z_um.mean())

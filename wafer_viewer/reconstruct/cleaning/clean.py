@@ -16,7 +16,6 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin
@@ -116,8 +115,10 @@ def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
         return found
     distance = distances_in_cloud(z_um, pixel_um, how.neighbours)[rows, cols]
     if (beyond := np.isnan(distance)).any():
+        from scipy.spatial import KDTree
+
         points = np.stack([cols * pixel_um, rows * pixel_um, z_um[rows, cols]], axis=1)
-        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # few are asked for: built 4 times as fast
+        tree = KDTree(points, balanced_tree=False, compact_nodes=False)  # few are asked for: built 4 times as fast
         distance[beyond] = tree.query(points[beyond], how.neighbours + 1)[0][:, 1:].mean(axis=1)
     far = distance > _threshold(distance, how)
     found[rows[far], cols[far]] = True
