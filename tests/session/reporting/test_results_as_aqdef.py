@@ -13,7 +13,7 @@ from tests.session.reporting.test_report_contents import KINDS, RESULT
 from tests.session.reporting.test_report_contents import dataset as dataset
 from wafer_viewer.cli.app import main
 from wafer_viewer.store.dataset.dataset import Dataset
-from wafer_viewer.store.tables.aqdef import NOT_VALID, Characteristic, MeasuredPart, MeasuredValue, transfer_file
+from wafer_viewer.store.tables.aqdef import NOT_VALID, ControlledQuantity, MeasuredPart, MeasuredValue, transfer_file
 
 LINE = re.compile(r"(K\d{4})(?:/(\d+))? (.+)")
 
@@ -69,7 +69,7 @@ def test_a_simulated_part_says_so(dataset, tmp_path, monkeypatch):
 
 
 def part(values, name="step", lot="", part_name="wafer"):
-    step = Characteristic("1", name, "µm", values, lower=-0.5)
+    step = ControlledQuantity("1", name, "µm", values, lower=-0.5)
     return MeasuredPart("P", part_name, "", "", "", lot, None, [step])
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from datetime import datetime
 from itertools import groupby
 from pathlib import Path
 
@@ -42,6 +41,7 @@ from wafer_viewer.session.reporting.report_data import (
     calibration_pairs,
     gather,
     kind_of,
+    local_time,
     marks_of,
     method_words,
     names_of,
@@ -69,7 +69,7 @@ from wafer_viewer.session.reporting.sections import (
 )
 from wafer_viewer.store.io.atomic_files import atomic_write, write_text
 from wafer_viewer.store.records.digital_certificate import CertifiedResults, NamedResult, results_xml
-from wafer_viewer.store.tables.aqdef import Characteristic, MeasuredPart, MeasuredValue, transfer_file
+from wafer_viewer.store.tables.aqdef import ControlledQuantity, MeasuredPart, MeasuredValue, transfer_file
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """Parts that a surface from a file does not have."""
@@ -182,26 +182,14 @@ def measured_part(material: Material) -> MeasuredPart:
         instrument=scan.rig or scan.imported_from,
         remark="; ".join(filter(None, warned)),
         lot=sample.lot,
-        at=_local_time(material),
+        at=local_time(scan.taken, zone_of(material.laboratory.zone)),
         characteristics=(*_controlled_features(material, wafer), *_controlled_results(material, wafer)),
     )
 
 
-def _local_time(material: Material) -> datetime | None:
-    """Return the time of the scan in the zone of the laboratory; None if only a day, or nothing, is known."""
-    taken = material.dataset.scan.taken
-    try:
-        at = datetime.fromisoformat(taken)
-    except ValueError:
-        return None
-    if at.tzinfo is None:
-        return at if len(taken) > len("2026-03-01") else None
-    return at.astimezone(zone_of(material.laboratory.zone))
-
-
-def _controlled_features(material: Material, wafer: str) -> Iterator[Characteristic]:
+def _controlled_features(material: Material, wafer: str) -> Iterator[ControlledQuantity]:
     for n, (feature, items) in enumerate(groupby(material.features, lambda item: item.feature), 1):
-        yield Characteristic(
+        yield ControlledQuantity(
             number=f"F{n}",
             name=feature.name,
             unit=UNIT_SIGNS[feature.unit],
@@ -220,10 +208,10 @@ def _judged_value(item: FeatureVerdict, wafer: str) -> MeasuredValue:
     return _controlled(item.measured, part, item.word)
 
 
-def _controlled_results(material: Material, wafer: str) -> Iterator[Characteristic]:
+def _controlled_results(material: Material, wafer: str) -> Iterator[ControlledQuantity]:
     for finding in material.findings:
         for n, (symbol, quantity) in enumerate(finding.quantities.items(), 1):
-            yield Characteristic(
+            yield ControlledQuantity(
                 number=f"{finding.number}.{n}",
                 name=f"{finding.name or kind_of(finding)}, {title_of(type(finding), symbol)}",
                 unit=UNIT_SIGNS[quantity.unit],

@@ -191,16 +191,24 @@ def unmeasured_words(info: SurfaceInfo) -> Iterator[str]:
         yield f"{amount} of the surface is not measured{f': {why}' if why else ''}."
 
 
-def time_words(iso: str, zone: tzinfo) -> str:
-    """Return a time to the minute in a time zone, ``2026-03-01 10:00 UTC``; without an offset, or no time, as it is."""
+def local_time(iso: str, zone: tzinfo) -> datetime | None:
+    """Return a time in a time zone, as it is without an offset; None if it is only a day, or none."""
     try:
         at = datetime.fromisoformat(iso)
     except ValueError:
-        return iso
+        return None
     if at.tzinfo is None:
-        return f"{at:%Y-%m-%d %H:%M}" if len(iso) > len("2026-03-01") else iso
-    offset = f"{at.astimezone(zone):%z}"
-    return f"{at.astimezone(zone):%Y-%m-%d %H:%M} " + ("UTC" if zone is UTC else f"{offset[:3]}:{offset[3:]}")
+        return at if len(iso) > len("2026-03-01") else None
+    return at.astimezone(zone)
+
+
+def time_words(iso: str, zone: tzinfo) -> str:
+    """Return a time to the minute in a time zone, ``2026-03-01 10:00 UTC``; without an offset, or no time, as it is."""
+    at = local_time(iso, zone)
+    if at is None or at.tzinfo is None:
+        return iso if at is None else f"{at:%Y-%m-%d %H:%M}"
+    offset = f"{at:%z}"
+    return f"{at:%Y-%m-%d %H:%M} " + ("UTC" if zone is UTC else f"{offset[:3]}:{offset[3:]}")
 
 
 LABORATORY = "laboratory.toml"

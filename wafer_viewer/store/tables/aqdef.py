@@ -38,7 +38,7 @@ class MeasuredValue:
 
 
 @dataclass(frozen=True, slots=True)
-class Characteristic:
+class ControlledQuantity:
     """A measured quantity with nominal and limits in its unit, where it has them, and its values."""
 
     number: str
@@ -62,7 +62,7 @@ class MeasuredPart:
     remark: str
     lot: str
     at: datetime | None
-    characteristics: Sequence[Characteristic]
+    characteristics: Sequence[ControlledQuantity]
 
 
 def transfer_file(part: MeasuredPart) -> bytes:
