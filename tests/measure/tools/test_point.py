@@ -12,6 +12,7 @@ from tests.support.campaigns import drawn_after
 from tests.support.surfaces import calibration, coordinates, gauge_blocks, noise_of, surface_of
 from wafer_viewer.measure.base.levelled_surface import levelled
 from wafer_viewer.measure.tools.point import distance, point_height
+from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tool_options import Levelling
 from wafer_viewer.model.region import Region
@@ -48,6 +49,28 @@ def test_the_uncertainty_covers_the_noise_of_a_height(correlation_px):
     covered = [abs(length.value_um - 20 - TILT * x) <= length.expanded_um for length, x in found]
     assert np.mean(covered) >= 0.92
     assert np.mean([length.expanded_um for length, _ in found]) < 1.3, "twice a noise of 0.5 um, and little more"
+
+
+def dome(seed, radius_um=500.0, noise_um=0.1, correlation_px=8.0):
+    """A cap of a sphere, its top at 20 um, with noise; and its heights without."""
+    x_um, y_um = np.meshgrid(*coordinates(300, 400))
+    z = 20 - radius_um + np.sqrt(radius_um**2 - x_um**2 - y_um**2)
+    noisy = z + noise_of(seed, z.shape, noise_um, correlation_px)
+    return surface_of(noisy, calibration=calibration(), **SWEEP)
+
+
+def test_the_form_of_a_dome_is_no_noise_of_its_heights():
+    places = [(x, y) for x in (-60.25, 0.25, 40.25) for y in (-30.25, 0.25)]
+    found = [(point_height(dome(seed), Region.point(*at)).height, at) for seed in range(4) for at in places]
+    covered = [abs(z.value_um + 480 - math.sqrt(500**2 - x**2 - y**2)) <= z.expanded_um for z, (x, y) in found]
+    assert np.mean(covered) >= 0.9
+    assert max(z.expanded_um for z, _ in found) < 0.35, "twice a noise of 0.1 um, and little more"
+
+
+def test_the_noise_of_a_profile_over_a_dome_is_that_of_its_heights():
+    found, _ = profile(dome(0), Region.line(-70.25, 20.25, 70.25, 20.25))
+    assert found.rise.expanded_um < 0.5, "the difference of two heights with a noise of 0.1 um"
+    assert abs(found.rise.value_um) <= found.rise.expanded_um
 
 
 def test_a_wrong_height_nearby_changes_nothing():

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.base.correlated_errors import LEAST_FREEDOM, LOST_PER_PARAMETER, Scatter, well_filled
 from wafer_viewer.measure.base.height_samples import Floats, HeightSamples, height_window, points_in
 from wafer_viewer.measure.base.measurement_context import MeasurementContext
-from wafer_viewer.measure.base.robust_fit import fit_plane, plane_design
+from wafer_viewer.measure.base.robust_fit import fit_plane, paraboloid_design, plane_design, robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Heights
@@ -212,12 +212,47 @@ def _binned(x_um: Floats, y_um: Floats, values: Floats, cell_um: float) -> tuple
     return count.reshape(shape), np.asarray(sums, np.float64).reshape(shape)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FormResiduals:
+    """Points of a surface without outliers, and design [n, p] and residuals [n] in um of the form fitted to them."""
+
+    points: HeightSamples
+    design: Floats
+    residuals_um: Floats
+
+    @classmethod
+    def of_plane(cls, points: HeightSamples) -> FormResiduals:
+        """Fit a plane. Raises MeasureError when the points do not determine one."""
+        plane, fit = fit_plane(points)
+        used = points.select(fit.inliers)
+        left_um = used.z_um - np.asarray(plane.at(used.x_um, used.y_um))
+        return cls(used, plane_design(used, (plane.x_um, plane.y_um)), left_um)
+
+    @classmethod
+    def of_plane_or_paraboloid(cls, points: HeightSamples) -> FormResiduals:
+        """Fit a plane or, where that leaves form, a paraboloid. Raises MeasureError as `of_plane`."""
+        flat = cls.of_plane(points)
+        design = paraboloid_design(flat.points, (float(flat.points.x_um.mean()), float(flat.points.y_um.mean())))
+        try:
+            fit = robust_fit(design, flat.points.z_um)
+        except MeasureError:
+            return flat
+        curved = cls(flat.points.select(fit.inliers), design[fit.inliers], fit.residuals[fit.inliers])
+        return curved if CURVED * np.mean(curved.residuals_um**2) < np.mean(flat.residuals_um**2) else flat
+
+
 def errors_of(
-    reading: MeasurementContext, level: int, parts: Sequence[HeightSamples], design: Floats, residuals_um: Floats
+    reading: MeasurementContext,
+    level: int,
+    parts: Sequence[HeightSamples],
+    design: Floats,
+    residuals_um: Floats,
+    without_form: Callable[[HeightSamples], FormResiduals] = FormResiduals.of_plane,
 ) -> ErrorCovariance:
     """Return the covariance of the errors of a face: its own or, where it is small, that of what surrounds it.
 
     parts: measured points of the regions of the face; design [n, p], residuals_um [n]: of the fit to all of them.
+    without_form: fit to what surrounds it.
     """
     pixel_um = reading.surface.pixel_um * 2**level
     points, n_parameters = side_by_side(parts), design.shape[1]
@@ -225,14 +260,14 @@ def errors_of(
     sides_um = [max(float(np.ptp(part.x_um)), float(np.ptp(part.y_um))) for part in parts]
     if own.independent >= ENOUGH or max(sides_um) > MOST_PX * pixel_um:
         return own
-    around = [found for part in parts if (found := _smooth_around(reading, level, part)) is not None]
+    around = [found for part in parts if (found := _smooth_around(reading, level, part, without_form)) is not None]
     if not around:
         return own
     wide = ErrorCovariance.of(
-        side_by_side([part for part, _ in around]),
-        np.concatenate([left for _, left in around]),
+        side_by_side([one.points for one in around]),
+        np.concatenate([one.residuals_um for one in around]),
         pixel_um,
-        3 * len(around),
+        sum(one.design.shape[1] for one in around),
     )
     return wide.covering(points, design, residuals_um) if wide.independent > own.independent else own
 
@@ -240,9 +275,11 @@ def errors_of(
 NOISE_WINDOWS = 5
 """Radius of the area for the noise round a place, in focus windows.
 
-The noise is the scatter about a plane. Errors are correlated over at least one window, so that a smaller area would
-not show them.
+The noise is the scatter about a plane or a paraboloid. Errors are correlated over at least one window, so that a
+smaller area would not show them.
 """
+CURVED = 2.0
+"""Ratio of the scatter about a plane to that about a paraboloid, as variances, from which the ground is curved."""
 UNKNOWN_WINDOW = 15
 """Focus window assumed where the surface does not specify one."""
 MIN_NOISE_POINTS = 100
@@ -250,20 +287,21 @@ MIN_NOISE_POINTS = 100
 
 
 def errors_round(reading: MeasurementContext, x_um: float, y_um: float) -> ErrorCovariance | None:
-    """Return the covariance of errors round a place, by the scatter about a plane; None where too little is measured.
+    """Return the covariance of errors round a place, by the scatter about its form; None where too little is measured.
 
-    Errors that are alike over much of the area are few independent ones: the plane takes a share of their scatter, and
-    what is left is widened by Student's t. Outliers do not count.
+    The form is a plane, or a paraboloid where the ground is clearly curved. Errors that are alike over much of the area
+    are few independent ones: the form takes a share of their scatter, and what is left is widened by Student's t.
+    Outliers do not count.
     """
     window = reading.surface.provenance.recipe.window
     reach_px = NOISE_WINDOWS * (UNKNOWN_WINDOW if isinstance(window, str) else window)
     near = points_in(reading.surface, Region.circle(x_um, y_um, reach_px * reading.surface.pixel_um), reading.layer, 0)
     if len(near) < MIN_NOISE_POINTS:
         return None
-    plane, fit = fit_plane(near)
-    used = near.select(fit.inliers)
-    design = plane_design(used, (plane.x_um, plane.y_um))
-    return errors_of(reading, 0, (used,), design, used.z_um - np.asarray(plane.at(used.x_um, used.y_um)))
+    found = FormResiduals.of_plane_or_paraboloid(near)
+    return errors_of(
+        reading, 0, (found.points,), found.design, found.residuals_um, FormResiduals.of_plane_or_paraboloid
+    )
 
 
 def side_by_side(parts: Sequence[HeightSamples]) -> HeightSamples:
@@ -277,9 +315,12 @@ def side_by_side(parts: Sequence[HeightSamples]) -> HeightSamples:
 
 
 def _smooth_around(
-    reading: MeasurementContext, level: int, points: HeightSamples
-) -> tuple[HeightSamples, Floats] | None:
-    """Return the points of the smooth surface that continues a region, and their residuals from its plane."""
+    reading: MeasurementContext,
+    level: int,
+    points: HeightSamples,
+    without_form: Callable[[HeightSamples], FormResiduals],
+) -> FormResiduals | None:
+    """Return the residuals of the smooth surface that continues a region."""
     pixel_um = reading.surface.pixel_um * 2**level
     margin_um = AROUND_PX * pixel_um
     x0, x1, y0, y1 = (float(f(a)) for a in (points.x_um, points.y_um) for f in (np.min, np.max))
@@ -290,11 +331,9 @@ def _smooth_around(
         return None
     found = HeightSamples(part.x_um[cols], part.y_um[rows], part.z_um[rows, cols].astype(np.float64))
     try:
-        plane, fit = fit_plane(found)
+        return without_form(found)
     except MeasureError:
         return None
-    kept = found.select(fit.inliers)
-    return kept, kept.z_um - np.asarray(plane.at(kept.x_um, kept.y_um))
 
 
 def _continued(part: Heights, points: HeightSamples) -> NDArray[np.bool_]:

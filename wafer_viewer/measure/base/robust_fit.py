@@ -1,4 +1,4 @@
-"""Least-squares planes, lines and spheres with rejection of outliers. Pure.
+"""Least-squares planes, paraboloids, lines and spheres with rejection of outliers. Pure.
 
 z = top - c r^2 / (1 + sqrt(1 - c^2 r^2)), r the distance from the axis and c the curvature, holds for shallow caps and
 for steep ones, for bumps (c > 0) and for pits (c < 0).
@@ -125,6 +125,13 @@ def fit_plane(points: HeightSamples) -> tuple[LevelPlane, Fit]:
 def plane_design(points: HeightSamples, center_um: tuple[float, float]) -> Floats:
     """Return the design matrix with columns x, y, 1 about a centre."""
     return np.stack([points.x_um - center_um[0], points.y_um - center_um[1], np.ones(len(points))], axis=1)
+
+
+def paraboloid_design(points: HeightSamples, center_um: tuple[float, float]) -> Floats:
+    """Return the design matrix with columns x, y, 1, x^2, x y, y^2 about a centre."""
+    flat = plane_design(points, center_um)
+    x_um, y_um = flat[:, 0], flat[:, 1]
+    return np.column_stack([flat, x_um**2, x_um * y_um, y_um**2])
 
 
 def _fit(design: Floats, values: Floats, inliers: NDArray[np.bool_]) -> Fit:
