@@ -80,17 +80,18 @@ def beside(left: HeightMap, right: HeightMap) -> HeightMap:
     return replace(left, refused=None, x0_um=-left.shape[1] * left.pixel_um, **both)
 
 
-def beside_the_wall(seed: int, side: int) -> tuple[HeightMap, float]:
+def beside_the_wall(seed: int, side: int, wider: float = 1.0) -> tuple[HeightMap, float]:
     """Where the wall hides up to half of the aperture from the lower face, and the upper face's light falls on it."""
     settings = {"step_um": BLOCKS_STEP_UM, "lower_um": lower_face_um(seed)}
     layout = Layout("blocks", PILLBOX, 500 + seed, scene="step", settings=settings)
-    return height_map(layout, side), BLOCKS_STEP_UM
+    return height_map(layout, round(wider * side)), BLOCKS_STEP_UM
 
 
 STEPS: dict[str, Callable[[int, int], tuple[HeightMap, float]]] = {
     "faces alone": faces,
     "faces alone, 401.88 um": partial(faces, more_um=2.0),
-    "within 22 um of the wall": beside_the_wall,
+    "within 22 um of the wall, field of 45 um": beside_the_wall,
+    "within 52 um of the wall, field of 105 um": partial(beside_the_wall, wider=7 / 3),
 }
 
 
