@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from markupsafe import Markup
 
-from tests.support.campaigns import COMPLETE, SHARE, draw, examples, is_drawn
+from tests.support.campaigns import COMPLETE, SHARE, draw, drawn, examples
 from tests.support.durations import RENEWS, recorded, renew
 from tests.support.patience import PATIENCE_S
 
@@ -40,10 +40,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if getattr(getattr(item, "function", None), "is_hypothesis_test", False):
             item.add_marker(pytest.mark.campaign(within=True))
+        if (campaign := item.get_closest_marker("campaign")) and not campaign.kwargs.get("within", False):
+            item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: -recorded().get(item.nodeid.partition("::")[0], 0.0))
-    if skipped := [item for item in items if not runs_now(item)]:
+    now = drawn(items)
+    if skipped := [item for item in items if item not in now]:
         config.hook.pytest_deselected(items=skipped)
-        items[:] = [item for item in items if runs_now(item)]
+        items[:] = [item for item in items if item in now]
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -58,13 +61,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return CAMERAS if nodeid.startswith(CAMERAS) else super()._split_scope(nodeid)
 
     return LoadDeviceScheduling(config, log)
-
-
-def runs_now(item: pytest.Item) -> bool:
-    """Campaigns are drawn, but for a test that was asked for by its name."""
-    campaign = item.get_closest_marker("campaign")
-    named = any("::" in word for word in item.config.invocation_params.args)
-    return campaign is None or campaign.kwargs.get("within", False) or named or is_drawn(item.nodeid)
 
 
 def pytest_report_header() -> str:

@@ -76,6 +76,7 @@ def test_a_result_is_a_number_with_its_uncertainty():
     assert (uncertain.u, str(uncertain), str(certain)) == (None, "1.500 mrad", "30.04 ± 0.12 um")
 
 
+@pytest.mark.slow
 def test_a_result_is_a_dictionary_and_a_table():
     _, step = step_and_surface()
     data = step.to_dict()
@@ -195,7 +196,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
         wv.reconstrukt  # noqa: B018
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     "first",
     ["wv.stitch", "wv.reconstruct", "__import__('wafer_viewer.reconstruct.blending.stitched_mosaic')", "wv.Session"],

@@ -71,7 +71,7 @@ def test_a_notebook_has_the_cells_of_its_example_and_its_pictures(name: str):
     assert not any(output["output_type"] == "error" for output in outputs)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_example_01_scans_and_measures_a_field(run):
     found = run("01")
     assert len(found["data"].fields) == 2

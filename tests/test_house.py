@@ -76,6 +76,7 @@ def is_text(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
+@pytest.mark.slow
 def test_html_is_written_as_markup():
     """An f-string with a tag would put a value into the page unescaped."""
     parts = (part for module in DRAWS_HTML for text in parsed(module).f_strings for part in text.values)

@@ -47,6 +47,7 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path)
     assert wheel.name.endswith("-py3-none-any.whl")
 
 
+@pytest.mark.campaign
 def test_the_program_of_the_wheel_works_without_the_checkout(installed: Path, tmp_path: Path) -> None:
     code = "import wafer_viewer; print(wafer_viewer.__file__)"
     where = run(installed / "python", "-c", code, cwd=tmp_path)
@@ -61,6 +62,7 @@ def test_the_program_of_the_wheel_works_without_the_checkout(installed: Path, tm
     assert run(installed / "wafer-viewer", "plan", plan, cwd=tmp_path).returncode == 0
 
 
+@pytest.mark.campaign
 def test_installation_finds_the_kernels_of_the_same_sources(installed: Path, tmp_path: Path) -> None:
     compile_parts(HEIGHTS)
     images = sharpest_in_the_middle(tmp_path / "stack.tif")
@@ -87,6 +89,7 @@ def interpreter(version: str) -> str | None:
     return next((python for python in wanted if python and run(python, "--version", cwd=ROOT).returncode == 0), None)
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("version", PYTHONS)
 def test_every_file_of_the_package_is_read_by_every_python_it_is_for(version: str, tmp_path: Path) -> None:
     """The tests run on one of them; `bash tests/run.sh pythons` installs and runs the package on all that are here."""

@@ -76,6 +76,7 @@ def test_a_contrast_that_is_too_low_in_the_dark_alone_is_found(report: tuple[Pag
     assert any(what.startswith('pale: "Report"') for what in dark), dark
 
 
+@pytest.mark.campaign
 def test_a_look_finds_nothing_then_each_fault_that_is_put_into_the_page(report: tuple[Page, Themes]):
     page, _ = report
     assert page.evaluate("wvAudit.look()") == [[], []]

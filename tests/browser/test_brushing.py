@@ -50,6 +50,7 @@ def drag(page: Page, over: Locator, start: tuple[float, float], end: tuple[float
         page.keyboard.up(held)
 
 
+@pytest.mark.campaign
 def test_brushed_heights_light_up_and_are_told(looking: tuple[Page, MeasuringSession]):
     page, session = looking
     lit = page.locator(".wv-map-marks rect[fill='#C2255C']")
@@ -86,6 +87,7 @@ def test_a_drag_with_shift_selects_what_is_counted_and_measured(looking: tuple[P
     title_is(page, "Flatness")
 
 
+@pytest.mark.campaign
 def test_a_click_on_the_line_puts_a_cursor_there(looking: tuple[Page, MeasuringSession]):
     page, _ = looking
     page.locator("[data-pick=look][data-k=top]").click()

@@ -33,6 +33,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened.close()
 
 
+@pytest.mark.campaign
 def test_a_delay_is_run_seen_kept_and_listed(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready", READY_S)
     go_to(page, "Gauge check")

@@ -53,6 +53,7 @@ def compare_with(page: Page, name: str) -> None:
     press(page, "Compare")
 
 
+@pytest.mark.campaign
 def test_choose_compare_look_and_close(page: Page, session: Session):
     compare_with(page, "after")
     left = page.locator("[data-dock-region=left]")
@@ -78,6 +79,7 @@ def test_choose_compare_look_and_close(page: Page, session: Session):
     assert notes(page).count() == 0
 
 
+@pytest.mark.campaign
 def test_surfaces_of_different_samples_are_refused_with_the_way_out(page: Page, session: Session):
     compare_with(page, "other")
     expect(notes(page)).to_contain_text("The surfaces were not compared", timeout=1000 * WORK_S)

@@ -57,6 +57,7 @@ def program(tmp_path: Path) -> Iterator[Start]:
         process.stdout.close()
 
 
+@pytest.mark.campaign
 def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     program: Start, look_at: Callable[[str], Page], tmp_path: Path
 ):

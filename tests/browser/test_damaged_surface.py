@@ -69,6 +69,7 @@ def test_a_damaged_surface_is_named_with_its_mend_and_nothing_is_measured_on_it(
     assert session.snapshot.findings == ()
 
 
+@pytest.mark.campaign
 def test_a_surface_with_a_deleted_file_is_named_with_its_mend_and_has_no_numbers(
     page: Page, session: Session, tmp_path: Path
 ):

@@ -92,6 +92,7 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     assert notes(page).count() == 0
 
 
+@pytest.mark.campaign
 def test_adders_since_an_earlier_klarf_are_listed_alone(session: Session, page: Page):
     found = session.snapshot.inspection.inspection
     assert found is not None
@@ -118,6 +119,7 @@ def test_adders_since_an_earlier_klarf_are_listed_alone(session: Session, page: 
     assert notes(page).count() == 0
 
 
+@pytest.mark.campaign(together=True)
 def test_a_place_is_left_out_on_every_die_as_a_person_does(session: Session, page: Page):
     dialog, before = page.get_by_role("dialog"), session.snapshot.inspection.inspection
     assert before is not None
@@ -143,6 +145,7 @@ def test_a_place_is_left_out_on_every_die_as_a_person_does(session: Session, pag
     expect(page.get_by_text("Left out of every die, as the recipe asks: 2 areas")).to_be_visible()
 
 
+@pytest.mark.campaign(together=True)
 def test_an_area_is_searched_again_once_it_is_taken_away(session: Session, page: Page):
     page.keyboard.press("Shift+R")
     page.locator("[data-pick=defect-form]").press("Enter")

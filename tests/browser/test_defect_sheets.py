@@ -15,6 +15,7 @@ from tests.browser.steps import eventually, go_to
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 
+@pytest.mark.campaign
 def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_by_keys(serve: Callable[..., Page]):
     session = repeating_session()
     page = serve(session)
@@ -54,6 +55,7 @@ def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_b
     expect(page.locator(".wv-alone")).to_have_count(0)
 
 
+@pytest.mark.campaign
 def test_a_place_listed_alone_is_forgotten_when_its_numbers_are_of_other_defects(serve: Callable[..., Page]):
     session = repeating_session()
     page = serve(session)

@@ -49,6 +49,7 @@ def page(session: StitchedSession, serve: Callable[[StitchedSession], Page]) -> 
     return shown
 
 
+@pytest.mark.campaign
 def test_a_view_is_saved_and_come_back_to(page: Page, session: StitchedSession, look_at):
     frame = page.locator(".wv-over-map polygon, .wv-over-map path")
     page.keyboard.press("t")
@@ -87,6 +88,7 @@ def hillshade(page: Page) -> Locator:
     return numbers(page, "Hillshade, %").last
 
 
+@pytest.mark.campaign
 def test_a_picture_at_print_size_has_that_size_and_says_simulated(page: Page, session: StitchedSession, tmp_path: Path):
     page.evaluate(DRAW)
     page.locator("[data-pick=picture]").click()
@@ -121,6 +123,7 @@ def test_results_are_reviewed_by_keyboard_alone(page: Page, session: StitchedSes
     eventually(lambda: note(session) == "", "the note is taken back")
 
 
+@pytest.mark.campaign
 def test_features_of_a_verdict_are_reviewed_the_gravest_first(serve: Callable[[StitchedSession], Page]):
     page = serve(reviewed_session())
     go_to(page, "Review")

@@ -71,6 +71,7 @@ def answer(page: Page, name: str) -> None:
     page.get_by_role("dialog").last.get_by_role("button", name=name, exact=True).click()
 
 
+@pytest.mark.campaign
 def test_images_are_imported_and_a_surface_exported_without_a_typed_path(page: Page, session: Session, data: Path):
     press(page, "Import images…")
     row(page, "stacks").dblclick()
@@ -169,6 +170,7 @@ def saved(page: Page, button: str, folder: str, name: str) -> None:
     field.press("Enter")
 
 
+@pytest.mark.campaign
 def test_plan_results_and_report_are_saved_where_a_person_chose(page: Page, session: Session, data: Path):
     session.exchange.import_surface(data / "part.x3p").result(WORK_S)
     session.wait_until(lambda now: now.surface is not None, WORK_S)
@@ -226,6 +228,7 @@ def test_a_surface_is_compared_with_a_file_from_the_list(page: Page, session: Se
     expect(page.get_by_role("button", name="Close comparison")).to_be_visible()
 
 
+@pytest.mark.campaign
 def test_a_golden_die_is_chosen_from_a_file_and_kept_on_the_shelf(page: Page, session: Session, data: Path):
     layer = np.zeros((24, 24), np.float32)
     header = GoldenHeader(product="", pixel_um=0.5, width_um=12.0, height_um=12.0, dies=9, made_of="other")
@@ -245,6 +248,7 @@ def test_a_golden_die_is_chosen_from_a_file_and_kept_on_the_shelf(page: Page, se
     assert (data / "golden" / "lx7.1.golden.npz").exists()
 
 
+@pytest.mark.campaign
 def test_the_fields_of_a_stitched_surface_are_exported_as_images_in_place(page: Page, session: Session, data: Path):
     made = make(SMALL)
     dataset = make_dataset(data / "grid.wafer", made)

@@ -90,6 +90,7 @@ def test_the_card_of_the_first_start_is_the_first_that_tab_comes_to(serve_anew: 
     expect(page.locator("[data-pick=tour]")).to_be_focused()
 
 
+@pytest.mark.campaign
 def test_slow_graphics_are_told_at_the_foot_and_not_over_the_tools(serve_anew: Callable[[fake.FakeSession], Page]):
     page = serve_anew(fake.FakeSession(fake.planned()))
     expect(page.locator(".wv-strip")).to_contain_text("Slow graphics")
@@ -100,6 +101,7 @@ def test_slow_graphics_are_told_at_the_foot_and_not_over_the_tools(serve_anew: C
     assert page.evaluate("window.contexts.length") == 2, "that of the scene, and the one by which viser tells"
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("width", [1366, 1600])
 def test_the_scene_has_its_size_from_the_beginning(serve_anew: Callable[[fake.FakeSession], Page], width: int):
     """Each change takes a browser without a graphics card up to a second."""
@@ -114,6 +116,7 @@ def test_the_scene_has_its_size_from_the_beginning(serve_anew: Callable[[fake.Fa
     assert (widths[0], max(widths)) == (scene, scene), "narrower ones are of fewer pixels for slow graphics"
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("size", [(1366, 768), (1920, 1080)])
 def test_the_note_of_the_tour_lies_over_no_tools(serve_anew: Callable[[fake.FakeSession], Page], size: tuple[int, int]):
     session = fake.FakeSession(of_tour(fake.measured(), findings=()))
@@ -128,6 +131,7 @@ def test_the_note_of_the_tour_lies_over_no_tools(serve_anew: Callable[[fake.Fake
         eventually(lambda: page.evaluate(COVERED) == [], f"the note covers nothing in {step}")
 
 
+@pytest.mark.campaign
 def test_the_focus_goes_to_what_the_tour_points_at_and_to_what_follows_a_button_that_goes(
     serve_anew: Callable[[fake.FakeSession], Page],
 ):

@@ -63,6 +63,7 @@ def button(page: Page, name: str):
     return page.get_by_role("button", name=name, exact=True).first
 
 
+@pytest.mark.campaign
 def test_stop_and_every_step_can_be_hit_at_every_width(page: Page):
     for step in ("Plan", "Gauge check"):
         button(page, step).click()
@@ -78,6 +79,7 @@ def test_stop_and_every_step_can_be_hit_at_every_width(page: Page):
             assert found["left"] == width - (404 if width >= ROOMY_FROM_PX else 340)
 
 
+@pytest.mark.campaign
 def test_names_give_way_first_then_places_and_what_is_real_never(page: Page):
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 768})

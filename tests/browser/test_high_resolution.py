@@ -42,6 +42,7 @@ def width_of(page: Page, selector: str) -> float:
     return page.evaluate("s => document.querySelector(s)?.getBoundingClientRect().width ?? 0", selector)
 
 
+@pytest.mark.campaign
 def test_curves_are_as_wide_as_the_scene_and_the_scale_bar_as_long_as_it_says(sharp: Page):
     sharp.locator(SCENE).wait_for()
     drawn_px = sharp.evaluate("s => document.querySelector(s).width", SCENE)

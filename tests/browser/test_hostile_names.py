@@ -49,6 +49,7 @@ def changed(value: Any, fields: Any) -> dict[str, Any]:
     return {name: after for name, (before, after) in parts.items() if after is not before}
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("state", [fake.planned, fake.scanning, fake.at_fault, fake.measured])
 def test_a_script_in_a_name_is_shown_and_does_not_run(serve: Callable[[FakeSession], Page], state) -> None:
     page = serve(FakeSession(hostile(state())))
@@ -79,6 +80,7 @@ VIOLATIONS = """
 """
 
 
+@pytest.mark.campaign
 def test_the_same_names_without_escaping_are_elements_whose_scripts_the_policy_refuses(
     serve_anew: Callable[[FakeSession], Page], monkeypatch
 ) -> None:
@@ -92,6 +94,7 @@ def test_the_same_names_without_escaping_are_elements_whose_scripts_the_policy_r
     assert page.evaluate("() => window.wvRan") is None
 
 
+@pytest.mark.campaign
 def test_the_policy_refuses_nothing_of_the_page_itself(serve_anew: Callable[[FakeSession], Page]) -> None:
     told = list[str]()
     session = FakeSession(fake.planned())

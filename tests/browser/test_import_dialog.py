@@ -90,6 +90,7 @@ def test_a_file_dropped_on_the_page_opens_the_dialog(serve: Callable[[FakeSessio
     assert sent.name == "scan.csv"
 
 
+@pytest.mark.campaign
 def test_several_files_dropped_on_the_page_are_a_stack(serve: Callable[[FakeSession], Page], stack: Path) -> None:
     session = looking_session(fake.planned())
     page = serve(session)
@@ -111,6 +112,7 @@ def test_several_files_dropped_on_the_page_are_a_stack(serve: Callable[[FakeSess
     expect(dialog.locator(".wv-imp-strip img")).to_have_count(9)
 
 
+@pytest.mark.campaign
 def test_the_lines_of_a_text_are_chosen_in_the_dialog(serve: Callable[[FakeSession], Page], tmp_path: Path) -> None:
     text = tmp_path / "heights.txt"
     text.write_text("\n".join(f"{k} {k % 3} {k % 5} {k % 4}" for k in range(12)))
@@ -153,6 +155,7 @@ def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(
     expect(dialog).to_contain_text("The number of columns is 0: it must be")
 
 
+@pytest.mark.campaign
 def test_single_images_of_a_grid_are_stitched_to_one_picture(
     serve: Callable[[FakeSession], Page], tmp_path: Path
 ) -> None:

@@ -46,6 +46,7 @@ def inspect(page: Page, session: Session, name: str) -> None:
     press(page, "Inspect")
 
 
+@pytest.mark.campaign
 def test_a_single_die_is_compared_with_the_form_and_a_bare_surface_says_why_once(page: Page, session: Session):
     inspect(page, session, "one-die.wafer")
     session.wait_until(lambda now: now.inspection.dies_missing, READY_S)

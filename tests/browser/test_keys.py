@@ -33,6 +33,7 @@ def test_a_key_works_while_a_ticked_checkbox_has_the_focus(serve: Serve):
     title_is(page, "Step height")
 
 
+@pytest.mark.campaign
 def test_an_arrow_moves_the_slider_that_has_the_focus_and_not_the_camera(serve: Serve):
     page = serve(fake.FakeSession(fake.measured()))
     go_to(page, "Surface")

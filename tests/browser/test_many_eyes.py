@@ -102,6 +102,7 @@ def test_a_reload_keeps_the_controls_the_place_and_what_was_half_typed(serve: Se
     expect(other.get_by_role("status").first).to_contain_text("holds the controls.")
 
 
+@pytest.mark.campaign
 def test_a_page_whose_panels_are_folded_away_still_shows_what_must_be_in_sight(serve: Serve):
     page = serve(FakeSession(fake.scanning()))
     go_to(page, "Acquire")
@@ -117,6 +118,7 @@ def test_a_page_whose_panels_are_folded_away_still_shows_what_must_be_in_sight(s
     eventually(lambda: page.evaluate(WIDTHS)[1] < 60, "the panel is folded away as before")
 
 
+@pytest.mark.campaign
 def test_after_a_restart_of_the_program_the_plan_is_there_and_waits_for_a_look_at_the_sample(
     look_at: Callable[[str], Page], tmp_path
 ):
@@ -163,6 +165,7 @@ def remembered(page: Page, what: str) -> str:
     return page.evaluate(f"localStorage.getItem('viser-user:wafer-viewer-{what}') || ''")
 
 
+@pytest.mark.campaign
 def test_what_needs_a_person_is_told_again_after_a_reload_until_it_is_dealt_with(serve: Serve):
     session = FakeSession(dataclasses.replace(fake.planned(), faults=fake.at_fault().faults))
     page = serve(session)
@@ -181,6 +184,7 @@ def test_what_needs_a_person_is_told_again_after_a_reload_until_it_is_dealt_with
     expect(page.locator(".wv-note.fault", has_text="The folder is full")).to_have_count(0)
 
 
+@pytest.mark.campaign
 def test_a_page_that_is_closed_leaves_nothing_behind(serve_anew: Serve, monkeypatch: pytest.MonkeyPatch):
     made: list[weakref.ref[object]] = []
     build = app.build_page

@@ -107,6 +107,7 @@ def test_all_tools_are_offered_by_name_and_left_by_escape(page: Page):
     title_is(page, "Measure")
 
 
+@pytest.mark.campaign
 def test_the_zero_is_chosen_said_and_left_with_one_click(page: Page):
     take(page, "point")
     expect(page.get_by_text("Heights are read from the stage's zero.").first).to_be_visible()
@@ -168,6 +169,7 @@ def test_where_nothing_can_be_measured_the_panel_says_why(page: Page, session: M
     expect(page.get_by_role("button", name="Keep result")).to_be_disabled()
 
 
+@pytest.mark.campaign
 def test_a_reload_brings_back_the_tool_its_places_and_the_zero(page: Page):
     take(page, "radius")
     read_from(page, "Plane")
@@ -180,6 +182,7 @@ def test_a_reload_brings_back_the_tool_its_places_and_the_zero(page: Page):
     expect(answer(page)).to_have_text(before, use_inner_text=True)
 
 
+@pytest.mark.campaign
 def test_what_is_set_of_a_tool_is_measured_with_at_once_and_stays_over_a_reload(page: Page, session: MeasuringSession):
     take(page, "volume")
     panel = page.locator("[data-dock-region=right]")
@@ -202,6 +205,7 @@ def test_what_is_known_of_a_step_is_in_its_budget_and_the_rest_is_listed(page: P
     expect(panel).to_contain_text("Both faces extended to the middle between the regions.")
 
 
+@pytest.mark.campaign
 def test_faces_are_looked_for_and_where_there_are_none_it_says_so(page: Page, session: MeasuringSession):
     take(page, "step")
     press(page, "Find the faces")

@@ -90,6 +90,7 @@ def gets(session: fake.FakeSession, number: float) -> None:
     eventually(lambda: start_um(session) == number, f"the session has {number:g}, not {start_um(session):g}", 10)
 
 
+@pytest.mark.campaign
 def test_a_number_typed_over_another_replaces_it(serve: Serve, session: fake.FakeSession):
     page = serve(session)
     field = numbers(page, RANGE).first
@@ -126,6 +127,7 @@ def test_a_sign_is_what_it_reads_as(serve: Serve, session: fake.FakeSession):
     gets(session, -12.5)
 
 
+@pytest.mark.campaign
 def test_a_field_left_without_a_number_shows_its_own_again(serve: Serve, session: fake.FakeSession):
     page = serve(session)
     field = numbers(page, RANGE).first
@@ -159,6 +161,7 @@ def test_a_double_click_in_a_text_takes_the_number_with_its_sign(serve: Serve, s
     assert field.input_value() == "-12, 5"
 
 
+@pytest.mark.campaign
 def test_half_a_number_is_not_judged_and_tab_takes_it(serve: Callable[[GaugeSession], Page]):
     session = GaugeSession(GaugeState(certificate=certificate(), terms=TERMS))
     page = serve(session)

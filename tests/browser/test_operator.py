@@ -112,6 +112,7 @@ def replace_calibration(calibration: None) -> fake.RigStatus:
     return dataclasses.replace(fake.RIG, calibration=calibration)
 
 
+@pytest.mark.campaign
 def test_an_engineer_adds_corners_and_a_feature_and_releases(serve: Callable[..., Page]):
     session = fake.FakeSession(fake.planned())
     page = serve(session)

@@ -142,9 +142,10 @@ def test_nothing_that_is_brought_into_sight_lies_under_the_foot(serve: Serve):
         page = serve(fake.FakeSession(snapshot))
         page.get_by_text("For operators").click()
         expect(page.get_by_role("button", name="Try on wafers…")).to_be_visible()
-        assert page.evaluate(COVERED) == []
+        eventually(lambda page=page: page.evaluate(COVERED) == [], "every button can be brought into sight")
 
 
+@pytest.mark.campaign
 def test_typing_on_and_on_loses_nothing_of_what_was_typed_first(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)
@@ -160,6 +161,7 @@ def test_typing_on_and_on_loses_nothing_of_what_was_typed_first(serve: Serve):
     assert (grid.cols, grid.rows) == (2, 1)
 
 
+@pytest.mark.campaign
 def test_a_pause_between_two_words_keeps_the_space(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)

@@ -25,6 +25,7 @@ HIT = """element => {
 }"""
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("width", [390, 640])
 def test_a_scan_is_watched_and_stopped_in_a_narrow_window(serve_anew: Serve, width: int):
     session = fake.FakeSession(fake.scanning())
@@ -63,6 +64,7 @@ def test_the_verdict_is_read_in_a_narrow_window_and_a_wide_one_has_all_again(ser
     expect(page.get_by_text("The other steps need")).to_be_hidden()
 
 
+@pytest.mark.campaign
 def test_the_page_has_the_colours_of_the_system_until_a_person_chooses(serve_anew: Serve):
     page = serve_anew(fake.FakeSession(dataclasses.replace(fake.planned())))
     scheme = page.locator("html")

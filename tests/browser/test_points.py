@@ -101,6 +101,7 @@ def choose(page: Page, name: str) -> None:
     page.get_by_role("button", name=name, exact=True).last.click()
 
 
+@pytest.mark.campaign
 def test_refused_points_are_drawn_by_reason_and_counted(page: Page, opened: tuple[Session, HeightMap]):
     session, field = opened
     assert field.refused is not None
@@ -132,6 +133,7 @@ def test_refused_points_are_drawn_by_reason_and_counted(page: Page, opened: tupl
     eventually(lambda: sum(reasons(page).values()) == n_all, "all refused points again")
 
 
+@pytest.mark.campaign
 def test_the_clip_box_follows_its_balls_and_its_numbers(page: Page, session: Session):
     source = source_of(session.snapshot, 0)
     assert source is not None
@@ -169,6 +171,7 @@ def test_the_clip_box_follows_its_balls_and_its_numbers(page: Page, session: Ses
     expect(head).not_to_contain_text("outside of the box")
 
 
+@pytest.mark.campaign
 def test_a_slab_fills_the_profile_with_its_points(page: Page, session: Session):
     go_to(page, "Surface")
     choose(page, "Points")

@@ -113,6 +113,7 @@ def test_the_plot_is_read_and_looked_into_by_hand(cutting: Page):
     expect(curve(page, "A")).to_have_attribute("d", whole)
 
 
+@pytest.mark.campaign
 def test_lines_come_back_after_a_reload(cutting: Page):
     page = cutting
     page.keyboard.press("Shift+V")
@@ -123,6 +124,7 @@ def test_lines_come_back_after_a_reload(cutting: Page):
     expect(head(page).get_by_label("Line B")).to_have_attribute("aria-pressed", "true")
 
 
+@pytest.mark.campaign
 def test_a_cursor_stands_where_it_reads_beside_a_gap(cutting: Page):
     """Fields, grips, lines and the numbers say one distance: that of the nearest measured point."""
     page = cutting
@@ -145,6 +147,7 @@ def test_a_cursor_stands_where_it_reads_beside_a_gap(cutting: Page):
     assert float(across.removeprefix("M").split()[0]) / 8000 * 336.0 == pytest.approx(second, abs=0.3)
 
 
+@pytest.mark.campaign
 def test_keys_take_a_cursor_over_a_gap(cutting: Page):
     page = cutting
     put(page, numbers(page, "Row").first, str(ROW_OF_HOLE))

@@ -37,6 +37,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened.close()
 
 
+@pytest.mark.campaign
 def test_damaged_frames_are_named_and_a_button_takes_them_again(page: Page, session: Session):
     page.keyboard.press("Control+k")
     page.locator("input.mantine-Spotlight-search").fill("Check the frames")

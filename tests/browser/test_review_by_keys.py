@@ -95,6 +95,7 @@ def test_a_hundred_defects_are_reviewed_without_the_mouse_and_what_was_thought_i
     assert sum(d.judgement != "open" for d in kept.values()) == 3
 
 
+@pytest.mark.campaign
 def test_a_hundred_defects_are_judged_with_a_hundred_keys(page: Page, session: Session):
     page.keyboard.press("Shift+R")
     title_is(page, "D1 · Particle")
@@ -116,6 +117,7 @@ def test_a_hundred_defects_are_judged_with_a_hundred_keys(page: Page, session: S
     assert notes(page).count() == 0
 
 
+@pytest.mark.campaign
 def test_classes_are_proposed_from_judgements_and_one_key_agrees(page: Page, session: Session):
     larger, smaller = tuple(range(1, 50, 8)), tuple(range(52, N_DEFECTS, 8))
     session.defects.judge(larger, "real", "residue").result(WORK_S)

@@ -73,6 +73,7 @@ def test_all_of_a_class_are_judged_at_once_and_taken_back_at_once(serve: Callabl
     title_is(page, "D1 · Particle")
 
 
+@pytest.mark.campaign
 def test_several_are_selected_in_the_gallery_and_judged_with_one_key(serve: Callable[..., Page]):
     session = inspected_session()
     page = serve(session)
@@ -112,6 +113,7 @@ def test_a_filter_by_size_lists_what_is_as_large(serve: Callable[..., Page]):
     expect(page.locator(".wv-over-head")).to_contain_text("of 8")
 
 
+@pytest.mark.campaign
 def test_a_die_of_the_map_and_a_class_of_the_chart_are_listed_alone_by_a_click(serve: Callable[..., Page]):
     page = serve(inspected_session())
     page.keyboard.press("Shift+R")

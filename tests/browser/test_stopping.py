@@ -38,6 +38,7 @@ def stop_button(page: Page):
     return page.get_by_role("button", name="Stop", exact=True)
 
 
+@pytest.mark.campaign
 def test_stop_breaks_off_a_move_and_the_next_one_works(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, READY_S)
     session.take_tour().result(READY_S)

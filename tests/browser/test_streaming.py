@@ -137,6 +137,7 @@ def zoom(page: Page, notches: int) -> None:
         page.mouse.wheel(0, -300)
 
 
+@pytest.mark.campaign
 def test_a_hidden_page_is_sent_no_more_until_it_is_seen_again(
     address: str, sent: Sent, look_at: Callable[[str], Page], monkeypatch: pytest.MonkeyPatch
 ):
@@ -159,6 +160,7 @@ def test_a_hidden_page_is_sent_no_more_until_it_is_seen_again(
     expect(page.locator(".wv-read")).to_contain_text("confidence")
 
 
+@pytest.mark.campaign
 def test_over_a_slow_line_coarse_tiles_come_first_and_clicks_are_answered_between(
     line: SlowLine, sent: Sent, look_at: Callable[[str], Page]
 ):

@@ -58,6 +58,7 @@ def test_a_filter_that_would_leave_nothing_is_refused_and_stays(page: Page):
     expect(panel(page)).to_contain_text("filter: Gaussian (ISO 16610-61), L 12 µm")
 
 
+@pytest.mark.campaign
 def test_roughness_is_of_a_line_in_as_many_sampling_lengths_as_fit(page: Page):
     page.keyboard.press("Shift+J")
     expect(page.locator(".wv-answer")).to_contain_text("Ra")

@@ -37,6 +37,7 @@ def session(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Session]
     opened.close()
 
 
+@pytest.mark.campaign
 def test_a_scan_goes_on_while_its_page_is_loaded_again(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
     session.edit_job(small_job(cols=4, n_frames=60, z_step_um=1.0)).result()
@@ -53,6 +54,7 @@ def test_a_scan_goes_on_while_its_page_is_loaded_again(page: Page, session: Sess
     assert notes(page).count() == 0
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("session", [RigConfig(faults=Faults(stage_lost=(25,)))], indirect=True)
 def test_scan_whose_stage_is_lost_is_reported_and_continued(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)

@@ -90,6 +90,7 @@ def test_of_a_pixel_without_a_height_the_read_out_says_only_why(page: Page, sess
     expect(page.locator(".wv-read")).not_to_contain_text("z ")
 
 
+@pytest.mark.campaign
 def test_the_line_through_the_curve_leads_through_the_frames(page: Page):
     page.keyboard.press("c")
     line, caption = page.locator(".wv-scrub"), page.locator(".wv-patch figcaption")
@@ -129,6 +130,7 @@ def test_what_cannot_be_read_stands_where_the_curve_would(page: Page, session: S
     expect(page.locator(".wv-note", has_text="is missing: restore it from a copy")).to_be_visible()
 
 
+@pytest.mark.campaign
 def test_another_step_or_tool_ends_the_explanation(page: Page):
     page.keyboard.press("c")
     expect(page.locator(FOCUS_PLOT)).to_be_visible()

@@ -66,6 +66,7 @@ def test_what_sets_no_scale_is_refused(values, changes, message):
         scale_correction(check, CALIBRATION, TODAY)
 
 
+@pytest.mark.slow
 def test_a_hidden_error_of_a_hundredth_of_a_percent_is_found_within_u():
     hidden, covered, shares = 1e-4, [], []
     used = replace(CALIBRATION, u_z_scale=5e-4)

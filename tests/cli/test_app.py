@@ -93,6 +93,7 @@ def test_every_command_explains_itself_without_frames():
     assert viewer("--version").stdout.startswith("wafer-viewer ")
 
 
+@pytest.mark.campaign
 def test_a_person_at_a_terminal_reads_a_few_lines(surface, monkeypatch, capsys):
     words = ("measure", "step", str(surface), "--upper", 600, 560, 640, 600, "--lower", 700, 560, 740, 600)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
@@ -448,6 +449,7 @@ def test_the_viewer_prints_its_address_and_ends_with_ctrl_c(tmp_path):
     assert err == ""
 
 
+@pytest.mark.campaign
 def test_a_page_for_other_machines_needs_a_password_and_is_served_by_tls(tmp_path):
     other = "serve", "--host", "127.0.0.2", "--port", 0, "--data", tmp_path
     no_terminal = process(*other, stdin=DEVNULL)

@@ -51,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("wafers")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(("make", "says"), WITHOUT_DIES.values(), ids=WITHOUT_DIES.keys())
 def test_without_dies_the_search_is_refused_and_the_fitted_form_has_to_be_asked_for(folder, capsys, make, says):
     surface, path = make(), folder / "without.npz"
@@ -74,7 +74,7 @@ def test_without_dies_the_search_is_refused_and_the_fitted_form_has_to_be_asked_
     assert " inspected, compared with the fitted form: " in found["result"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_surface_without_heights_is_refused_in_one_sentence(folder, capsys):
     says = "hardly any measured pixels|shows no contrast"
     surface, path = unmeasured(made()), folder / "bad.npz"
@@ -97,7 +97,7 @@ def test_given_dies_on_a_surface_without_heights_are_refused(folder, capsys):
     assert "hardly any measured pixels: there is nothing to inspect" in reported.err
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_wafer_turned_by_3_degrees_is_inspected(folder, capsys):
     write_npz(made(Wafer(angle_deg=3, unmeasured_fraction=0)), folder / "turned.npz")
     assert main(["measure", "defects", str(folder / "turned.npz"), "--sensitivity", "0.1"]) == 0
@@ -106,7 +106,7 @@ def test_a_wafer_turned_by_3_degrees_is_inspected(folder, capsys):
     assert reported["inspected_mm2"] > 1
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("against", ["dies", "form"])
 def test_with_a_field_missing_no_list_is_clean(folder, capsys, against):
     write_npz(made(Wafer(unmeasured_fraction=0), gap=GAP), folder / "gap.npz")

@@ -141,7 +141,7 @@ def test_a_report_is_held_to_the_key_of_a_lab(copy, folder, tmp_path, capsys):
     assert (folder / ".wafer-viewer" / "conformance-key.pem").stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_rig_of_two_controllers_homes_and_conforms(folder, capsys):
     status = main(["conformance", "--rig", str(simulated(folder, "grbl_pi")), "--move"])
     printed = capsys.readouterr().out

@@ -135,7 +135,7 @@ def test_dies_that_are_not_found_are_never_within_the_limits(folder: Path, capsy
     assert (verdict["word"], len(verdict["failing"])) == ("fail", 1)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_areas_that_a_recipe_names_are_left_out_and_reported(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -151,6 +151,7 @@ def test_areas_that_a_recipe_names_are_left_out_and_reported(
     assert any(note.startswith("Left out of every die, as the recipe asks: 1 area") for note in found["notes"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "sentence"),
     [
@@ -177,7 +178,7 @@ def test_bad_input_is_one_sentence(
     assert printed.err.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     recipe = tmp_path / "r.toml"
     for product, flags in (("A", ("--save-golden", str(tmp_path / "std"))), ("B", ())):
@@ -203,7 +204,7 @@ def dataset(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -229,7 +230,7 @@ def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("header", "says"),
     [

@@ -31,6 +31,7 @@ def dies_of(surface, capsys, *flags):
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_dies_are_found_or_taken_as_given(surface, capsys):
     found, given = dies_of(surface, capsys), dies_of(surface, capsys, *GIVEN, "--as-given")
     assert found["pitch_x"]["value_um"] == pytest.approx(Wafer().pitch_x_um, rel=5e-5)
@@ -43,6 +44,7 @@ def test_dies_are_found_or_taken_as_given(surface, capsys):
     assert found["off"] is given["off"] is None
 
 
+@pytest.mark.campaign
 def test_dies_are_found_by_their_pitch_and_size_alone(surface, tmp_path, capsys):
     found = dies_of(surface, capsys, "--pitch-um", 200.5, 148.5, "--size-um", 172.2, 121.8)["grid"]
     assert (found["by"], found["x0_um"]) == ("found", pytest.approx(31.7, abs=1.0))
@@ -55,6 +57,7 @@ def test_dies_are_found_by_their_pitch_and_size_alone(surface, tmp_path, capsys)
     assert "look alike, so they are no whole dies" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_given_dies_are_overlaid_on_those_seen(surface, capsys):
     given = dies_of(surface, capsys, *GIVEN[:4], 36.7, 22.9, *GIVEN[6:])
     assert given["off"]["origin_x_um"] == pytest.approx(-5, abs=0.5)
@@ -62,6 +65,7 @@ def test_given_dies_are_overlaid_on_those_seen(surface, capsys):
     assert given["pitch_x"]["status"] == "uncalibrated"
 
 
+@pytest.mark.slow
 def test_the_dies_of_a_job_keep_its_names(surface, tmp_path, capsys):
     dies = Dies(width_um=173, height_um=121, rows=5, cols=4, pitch_x_um=201.3, pitch_y_um=147.7, x0_um=30, y0_um=24)
     job = Job(
@@ -79,6 +83,7 @@ def test_the_dies_of_a_job_keep_its_names(surface, tmp_path, capsys):
     assert "plan.toml names no dies: give --pitch-um and --origin-um" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "sentence"),
     [

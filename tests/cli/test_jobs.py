@@ -116,6 +116,7 @@ def test_an_engineer_releases_a_plan_with_a_good_dataset(judged, tmp_path):
     assert "choose another revision" in viewer(*words, "--revision", "B").stderr
 
 
+@pytest.mark.campaign
 def test_another_recipe_is_tried_on_a_stored_wafer_in_a_result_of_its_own(judged, tmp_path):
     path = shutil.copytree(judged[0], tmp_path / "w9.wafer")
     before = (path / "results" / "default" / "verdict.json").read_bytes()

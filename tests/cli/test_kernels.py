@@ -26,6 +26,7 @@ def parts(monkeypatch, tmp_path):
     return (KernelPart("a few", nothing),)
 
 
+@pytest.mark.slow
 def test_scan_says_that_it_compiles_simulated_frames(monkeypatch, parts, capsys):
     monkeypatch.setattr(kernel_build, "SIMULATION", parts)
     compile_for_frames(SimpleNamespace(simulated=False))
@@ -37,6 +38,7 @@ def test_scan_says_that_it_compiles_simulated_frames(monkeypatch, parts, capsys)
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_reconstruction_says_that_it_compiles(parts):
     said = []
     headless._compile(parts, said.append)
@@ -44,6 +46,7 @@ def test_reconstruction_says_that_it_compiles(parts):
     assert said == [f"{LINE}."]
 
 
+@pytest.mark.slow
 def test_viewer_compiles_in_the_background_and_prints_its_progress(monkeypatch, parts, capsys):
     monkeypatch.setattr(kernel_build, "PARTS", parts)
     session = CommandQueue(Snapshot())

@@ -69,6 +69,7 @@ def test_heights_are_read_from_another_zero(tilted, capsys, tmp_path):
     assert "SIMULATED" in text
 
 
+@pytest.mark.slow
 def test_figures_and_a_table_are_written_of_several_lines(tilted, capsys, tmp_path):
     for name in ("cuts.png", "cuts.pdf", "cuts.svg", "cuts.csv"):
         reported(capsys, tilted, "--line", -15, 0, 15, 0, -15, 5, 15, 5, "--column", 10, "-o", tmp_path / name)

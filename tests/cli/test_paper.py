@@ -75,6 +75,7 @@ def record(folder, name):
     return json.loads((folder / f"{name}.json").read_text())
 
 
+@pytest.mark.campaign(together=True)
 def test_a_stopped_run_continues_and_does_every_step_once(run):
     folder, before, first, second, third = run
     assert (first.returncode, first.stderr) == (130, "wafer-viewer: stopped.\n")
@@ -93,6 +94,7 @@ def test_a_stopped_run_continues_and_does_every_step_once(run):
     assert all(before[path] == changed for path, changed in done.items())
 
 
+@pytest.mark.campaign(together=True)
 def test_a_stopped_scan_counts_every_frame_and_the_time_of_both_parts(run):
     parts = record(run[0], "gauge_blocks-scan")["parts"]
     assert len(parts) == 2
@@ -101,11 +103,13 @@ def test_a_stopped_scan_counts_every_frame_and_the_time_of_both_parts(run):
     assert all(part["instrument_s"] > part["frames"] / 60 and part["peak_bytes"] > 1e7 for part in parts)
 
 
+@pytest.mark.campaign(together=True)
 def test_datasets_are_removed_unless_they_are_kept(run):
     folder = run[0]
     assert [path.name for path in sorted(folder.glob("*.wafer"))] == ["gauge_blocks.wafer", "wafer.wafer"]
 
 
+@pytest.mark.campaign(together=True)
 def test_the_tables_hold_the_stored_results_the_papers_and_their_ratio(run):
     folder = run[0]
     rows = table_rows(folder, "Table 4")
@@ -123,6 +127,7 @@ def test_the_tables_hold_the_stored_results_the_papers_and_their_ratio(run):
     assert table_rows(folder, "Table 6")["Stitching, s: paper"][:6] == ["n. a."] * 6
 
 
+@pytest.mark.campaign(together=True)
 def test_the_height_is_that_of_the_command_that_measures_steps(run):
     upper, lower = (face.bounds_um for face in SMALLEST[1].faces)
     measured = viewer("measure", "step", run[0] / "gauge_blocks.wafer", "--upper", *upper, "--lower", *lower)
@@ -130,6 +135,7 @@ def test_the_height_is_that_of_the_command_that_measures_steps(run):
     assert json.loads(measured.stdout)["height"]["value_um"] == pytest.approx(stored["height_um"], abs=1e-6)
 
 
+@pytest.mark.campaign(together=True)
 def test_the_page_is_one_file_that_says_simulated_and_what_is_not_available(run):
     text = (run[0] / "paper.html").read_text()
     assert not re.search(r'(src|href)="(?!data:)', text)
@@ -174,6 +180,7 @@ def test_time_and_room_are_printed_before_anything_is_made(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.campaign(together=True)
 def test_the_folder_of_another_run_or_of_other_files_is_refused(run, tmp_path):
     assert "holds a reduced run: continue it with --reduced" in refused("paper", run[0])
     (tmp_path / "notes.txt").write_text("mine")

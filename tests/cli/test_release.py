@@ -40,6 +40,7 @@ def kept(stored):
     return {path: path.read_bytes() for path in sorted(stored.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_limit_that_changed_is_judged_on_the_height_that_was_kept(release, stored, tmp_path):
     before = kept(stored)
     status, lines = release(released_job(replace(STEP, upper_limit=12.5)))

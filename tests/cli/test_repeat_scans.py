@@ -36,6 +36,7 @@ def rr(capsys, *words):
     return status, json.loads(printed.out) if status == 0 else printed.err
 
 
+@pytest.mark.slow
 def test_scans_of_wafers_are_trials_of_parts_in_order_of_time(scans, capsys):
     status, (study,) = rr(capsys, scans)
     assert status == 0

@@ -71,6 +71,7 @@ def test_frames_are_kept_for_ever_unless_somebody_says_how_long(prompt, folder):
     assert "retention.toml" in prompt("tidy", folder)[1]
 
 
+@pytest.mark.slow
 def test_only_accepted_ones_go_and_only_when_asked(prompt, folder):
     (folder / "retention.toml").write_text("frames_days = 30\n")
     status, told = prompt("tidy", folder, "--dry-run")
@@ -107,6 +108,7 @@ def test_a_removal_that_was_broken_off_is_finished(prompt, folder):
     assert n_frames(folder, "good.wafer") == 0
 
 
+@pytest.mark.slow
 def test_held_ones_are_never_touched(prompt, folder):
     good = folder / "good.wafer"
     assert prompt("hold", good, "--reason", "complaint 7") == (0, "good.wafer is held.")
@@ -123,6 +125,7 @@ def test_held_ones_are_never_touched(prompt, folder):
     assert prompt("tidy", folder, "--days", 30, "--yes")[0] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick_passwords")
 def test_where_people_are_listed_an_operator_holds_and_an_engineer_removes(prompt, folder, monkeypatch):
     add_person(folder, "Ann", "engineer", "ann's long password")

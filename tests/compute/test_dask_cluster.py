@@ -184,6 +184,7 @@ def same_everywhere(one, other):
     return len(pairs)
 
 
+@pytest.mark.campaign
 def test_a_job_on_a_cluster_that_loses_a_worker_is_the_same_to_the_last_bit(alone, fresh, machines):
     first, _ = machines.worker(), machines.worker()
     running = started("wafer_viewer", "stitch", fresh, "--scheduler", machines.address, trust=machines.trust)
@@ -196,12 +197,14 @@ def test_a_job_on_a_cluster_that_loses_a_worker_is_the_same_to_the_last_bit(alon
     assert not list(fresh.rglob("*.part"))
 
 
+@pytest.mark.campaign
 def test_a_cluster_of_ones_own_does_the_same(alone, fresh):
     done = process("stitch", fresh, "--workers", "2")
     assert (done.returncode, done.stderr) == (0, "")
     assert same_everywhere(alone, Dataset.open(fresh)) == 2 * COLS + 1
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("own", [True, False], ids=["own", "joined"])
 def test_ctrl_c_keeps_finished_fields_and_the_next_run_continues(alone, fresh, trust, own, request):
     who = ("--workers", "2") if own else ("--scheduler", request.getfixturevalue("cluster").address)
@@ -229,6 +232,7 @@ def test_a_worker_that_joins_later_is_used(cluster, monkeypatch):
     end(other)
 
 
+@pytest.mark.campaign
 def test_a_field_that_cannot_be_is_named_and_left_out(dataset, fresh, cluster):
     broken = sorted((fresh / "frames").iterdir())[-1]
     broken.write_bytes(b"no images")
@@ -334,6 +338,7 @@ def test_a_worker_with_another_program_takes_no_task(fresh, machines, other_prog
     assert f"worker on {socket.gethostname()} runs wafer-viewer" in refused.stderr
 
 
+@pytest.mark.campaign
 def test_an_unfit_worker_that_joins_later_leaves_the_work_to_the_others(fresh, cluster, other_program, monkeypatch):
     with joined(cluster, monkeypatch) as crew:
         crew.require_sight(fresh)

@@ -101,7 +101,7 @@ def test_a_bug_ends_its_task_on_a_worker_and_everything_here(cluster):
         list(LocalRunner().each(worker_tasks.square_or_fault, [(7,)]))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_task_that_ends_its_workers_is_named_and_those_beside_it_are_done(cluster):
     done = {d.index: d for d in cluster.each(worker_tasks.square_or_die, items(12))}
     assert "square_or_die of item 6 of 12 ended its worker 4 times" in str(done.pop(5).fault)
@@ -156,7 +156,7 @@ def test_an_open_scheduler_is_refused():
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_work_is_led_by_the_host_while_single_tasks_go_first(patience_s):
     heard, moving = [], threading.Event()
 
@@ -184,7 +184,7 @@ def test_a_work_is_led_by_the_host_while_single_tasks_go_first(patience_s):
         compute.close()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.skipif(not FORKS, reason="workers begin with nothing here")
 def test_workers_of_a_session_begin_with_what_was_loaded_once(patience_s):
     loaded = "wafer_viewer.session.surface.stitching_job"

@@ -66,7 +66,7 @@ print(len(os.listdir("/proc/self/task")), sum(bool(kernel.overloads) for kernel 
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.skipif(not FORKS, reason="workers begin with nothing here")
 def test_what_workers_are_forks_of_has_the_kernels_and_no_thread_that_they_would_lack():
     kernel_build.compile_surface_kernels()

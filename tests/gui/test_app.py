@@ -48,6 +48,7 @@ def doing(thread: int | None) -> list[str]:
     return [frame.f_code.co_name for frame, _ in traceback.walk_stack(sys._current_frames()[thread])][:3]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals go to the main thread there")
 @pytest.mark.usefixtures("restored_signals")
 def test_a_request_to_end_that_another_thread_receives_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:

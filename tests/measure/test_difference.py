@@ -76,7 +76,7 @@ def test_the_same_places_have_the_same_noise_on_one_surface_and_not_in_two_scans
     assert lines(repeated)[Z_SCALE] < 1e-3 * lines(one.main)[Z_SCALE]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_simulation_of_its_sources_scatters_no_more_than_the_difference_says():
     rng = np.random.default_rng(3)
     found = [difference(*two_steps(stairs(seed, 1 + SCALE * rng.standard_normal()))) for seed in range(60)]

@@ -208,7 +208,7 @@ def test_any_quantity_of_any_tool_is_judged_against_a_limit_that_may_be_open():
     assert (beyond.word, beyond.why) == ("fail", "Over the upper limit.")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("quantity", "limits", "word"),
     [

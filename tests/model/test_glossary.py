@@ -33,6 +33,7 @@ def test_the_command_prints_a_term_and_names_an_unknown_one(capsys: pytest.Captu
     assert "flummox" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_no_text_of_the_program_uses_a_word_that_the_glossary_replaces():
     avoided = {word: term.word for term in GLOSSARY for word in term.not_called}
     assert len(avoided) > 5

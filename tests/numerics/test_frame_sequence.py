@@ -55,7 +55,7 @@ def test_images_without_texture_support_no_order():
     assert contradicting_order(np.stack([place_sharpness(image) for image in blank])) is None
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", range(9_000_100, 9_000_108))
 def test_right_order_of_hard_scenes_is_not_doubted(seed):
     images = drawn_scene(seed).stack.images

@@ -123,7 +123,7 @@ print(banded_matrix.__file__, sum(banded_matrix._factorise.stats.cache_hits.valu
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_another_copy_of_the_sources_finds_the_same_kernels(tmp_path):
     def hits(sources):
         environment = os.environ | {"PYTHONPATH": str(sources), "WAFER_VIEWER_CACHE": str(tmp_path / "cache")}

@@ -12,7 +12,7 @@ import pytest
 BENCH = Path(__file__).parents[1] / "bench" / "bench_stitch.py"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_it_places_a_small_grid_and_names_its_costs(tmp_path: Path) -> None:
     command = (sys.executable, str(BENCH), "--quick", "--only", "positions", "costs")
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "TMPDIR": str(tmp_path)})

@@ -62,7 +62,7 @@ def test_enough_heights_need_no_note(plane_stack: FieldStack):
     assert not notes
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", range(8))
 def test_no_field_of_few_heights_goes_without_a_note(seed: int):
     for family in (bare, textbook, metal):

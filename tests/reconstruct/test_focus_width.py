@@ -60,6 +60,7 @@ def test_a_bounded_width_keeps_false_heights_away(depth: str):
     assert max(shares) < 0.006
 
 
+@pytest.mark.slow
 def test_the_width_at_the_peak_hardly_depends_on_where_the_frames_lie():
     optics = Optics(na=0.28, step_dof=0.55, contrast=0.2, full_well_e=40e3, lens="rays")
     stacks = [stack_of(np.zeros((96, 160)), optics, np.random.default_rng(seed), PIXEL_UM) for seed in range(100, 112)]
@@ -74,6 +75,7 @@ def test_the_width_at_the_peak_hardly_depends_on_where_the_frames_lie():
     assert between_crossings > 0.3
 
 
+@pytest.mark.slow
 def test_the_aperture_in_the_objectives_name_bounds_the_width_too():
     one = scene(SEEDS[0])
     setup = OpticalSetup(objective=f"20x/{one.scene.na:.2f}")

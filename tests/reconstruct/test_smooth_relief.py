@@ -29,6 +29,7 @@ def test_smooth_relief_is_no_wall_and_no_step(seed: int) -> None:
     assert raw < 0.15 * relief.step_um
 
 
+@pytest.mark.slow
 def test_a_clear_plane_is_whole_where_two_focus_widths_are_no_whole_number_of_frames() -> None:
     scene = plane(22, (96, 96), tilt=0.1)
     z_um = float(np.median(scene.truth_um)) + np.arange(-62.0, 62.0, 4.0)

@@ -126,7 +126,7 @@ def test_a_search_at_its_limit_is_rejected_for_the_stage_position(made):
     assert (doubt != RejectionReason.NONE).sum() > len(doubt) / 2
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_uncertainties_of_small_overlaps_are_not_too_small_by_chance():
     """Their two or three displaced parts say little about how far parts of this scan are displaced."""
     normalised = []

@@ -36,7 +36,7 @@ def dirty(monkeypatch: pytest.MonkeyPatch) -> Dirty:
     return fill_with
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", KINDS.values(), ids=KINDS.keys())
 def test_poses_of_fields(dirty: Dirty, seed: int) -> None:
     grid, found = made(drawn(seed)), []

@@ -28,6 +28,7 @@ def scan(tmp_path_factory):
     return folder / "scan.wafer"
 
 
+@pytest.mark.campaign
 def test_both_exposures_together_measure_more_than_either(scan):
     data = wv.Dataset.open(scan)
     fused = wv.reconstruct(data.stack(1))
@@ -38,6 +39,7 @@ def test_both_exposures_together_measure_more_than_either(scan):
     assert fused.all_in_focus.dtype == np.uint16
 
 
+@pytest.mark.campaign
 def test_exposures_taken_in_turn_give_dark_and_bright_areas_the_same_heights(scan):
     """They lie half a step apart in z, 1.5 um: without regard to it the areas would differ by .6 um."""
     data = wv.Dataset.open(scan)
@@ -59,6 +61,7 @@ def test_exposures_taken_in_turn_give_dark_and_bright_areas_the_same_heights(sca
     assert difference_um(regardless) > difference_um(heights) + 0.5
 
 
+@pytest.mark.campaign
 def test_the_command_line_fuses_them_too(scan, tmp_path):
     assert main(["reconstruct", str(scan), "-o", str(tmp_path / "a.npz")]) == 0
     stored = wv.Dataset.open(scan).result("default")

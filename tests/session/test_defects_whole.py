@@ -23,7 +23,7 @@ from wafer_viewer.store.records.golden_dies import open_golden
 from wafer_viewer.store.records.inspection_records import read_judged, save_judged
 from wafer_viewer.store.tables.klarf import read_klarf
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign(together=True)
 BUMP, PIT = Planted("bump", 250.0, 392.0, 30, 8), Planted("pit", 110.0, 110.0, 24, 10)
 RECIPE = DefectRecipe(product="LX-7", name="dull", sensitivity=0.25, limits=DefectLimits(max_per_die=0))
 

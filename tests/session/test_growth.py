@@ -6,7 +6,7 @@ import pytest
 
 from wafer_viewer.store.dataset.dataset import Dataset
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign(together=True)
 
 
 def test_the_surface_grows_during_a_scan_and_is_whole_afterwards(session, job, surfaced, patience_s):

@@ -34,6 +34,7 @@ def test_a_folder_of_photographs_becomes_a_surface(tmp_path, capsys):
     assert not board.provenance.simulated
 
 
+@pytest.mark.campaign
 def test_odd_and_even_frames_tell_the_same_heights():
     """Two half stacks share no frame: where both measured, they agree within their own, doubled step."""
     complete = wv.open_stack(STACK, z_step_um=1.0, pixel_um=1.0)

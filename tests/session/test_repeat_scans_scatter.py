@@ -14,6 +14,7 @@ pytestmark = pytest.mark.slow
 PLAN = die_beside_its_trench(12, z_start_um=0.0)
 
 
+@pytest.mark.campaign
 def test_repeats_scatter_without_a_seed_and_are_identical_with_one(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN)
     (tmp_path / "rig.toml").write_text("seed = 3\n")

@@ -49,7 +49,7 @@ LOST = {
 """Devices that are lost in the second pass, and what is said then; a scan that is continued needs fewer pulses."""
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("device", LOST)
 def test_scan_ends_when_a_device_is_lost_and_continues_on_the_reopened_rig(device, tmp_path, job, patience_s):
     faults, sentence = LOST[device]
@@ -72,7 +72,7 @@ def test_scan_ends_when_a_device_is_lost_and_continues_on_the_reopened_rig(devic
         session.close()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_scan_ends_when_its_folder_is_gone_and_another_one_starts(session_at_rest, tmp_path, job, patience_s):
     session = session_at_rest
     session.edit_job(job(cols=6, n_frames=60, z_step_um=0.8)).result()

@@ -97,6 +97,7 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     assert [f.name for f in again.findings] == ["over the street"]
 
 
+@pytest.mark.campaign
 def test_a_stopped_scan_is_listed_as_unfinished_and_continues_with_what_is_missing(session, job, surfaced, patience_s):
     session.edit_job(job(cols=2, rows=2, n_frames=60, z_step_um=0.8)).result()
     path = session.start_scan("stopped").result(patience_s)
@@ -126,6 +127,7 @@ def test_a_stopped_scan_is_listed_as_unfinished_and_continues_with_what_is_missi
         session.continue_scan().result()
 
 
+@pytest.mark.campaign
 def test_a_killed_worker_costs_nothing_but_time(session, child, patience_s):
     session.wait_until(lambda s: s.dataset is not None and not s.works, patience_s)
     again = session.reconstruct(result="again")
@@ -140,6 +142,7 @@ def test_a_killed_worker_costs_nothing_but_time(session, child, patience_s):
     assert "again" in session.snapshot.dataset.results
 
 
+@pytest.mark.campaign
 def test_a_killed_compute_host_is_replaced(session, child, patience_s):
     again = session.reconstruct(result="thrice")
     session.wait_until(lambda s: again.done() or FieldState.RECONSTRUCTING in s.dataset.states.values(), patience_s)
@@ -153,6 +156,7 @@ def test_a_killed_compute_host_is_replaced(session, child, patience_s):
     assert fault not in session.snapshot.faults
 
 
+@pytest.mark.campaign
 def test_a_killed_rig_process_loses_no_complete_pass_and_the_scan_continues(session, job, child, surfaced, patience_s):
     session.edit_job(job(cols=3, n_frames=80, z_step_um=0.6)).result()
     path = session.start_scan("killed").result(patience_s)
@@ -172,6 +176,7 @@ def test_a_killed_rig_process_loses_no_complete_pass_and_the_scan_continues(sess
     assert session.snapshot.rig.state == "ready"
 
 
+@pytest.mark.campaign
 def test_another_session_opens_a_held_dataset_to_read_only(session, patience_s, tmp_path):
     path = session.snapshot.dataset.path
     held = [sys.executable, "-c", _OPEN_ELSEWHERE, str(tmp_path), str(path)]
@@ -270,6 +275,7 @@ def test_single_images_are_stitched_to_a_picture_beside_the_datasets(session, pa
     assert (look.out.parent / "whole-places.csv").read_text().startswith("file,x_um,y_um")
 
 
+@pytest.mark.campaign
 def test_a_cluster_that_runs_already_is_joined_with_certificates_only(monkeypatch, patience_s, tmp_path):
     with pytest.raises(ComputeError, match="must begin with tls://"):
         Session(tmp_path / "a", scheduler="tcp://127.0.0.1:8786")
@@ -299,6 +305,7 @@ def test_a_data_folder_that_cannot_be_is_refused_at_once(tmp_path):
         Session(tmp_path / "file" / "below")
 
 
+@pytest.mark.campaign
 def test_processes_end_with_a_session_that_is_killed(patience_s, tmp_path):
     viewer = subprocess.Popen([sys.executable, "-c", _HANG, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     viewer.stdout.readline()

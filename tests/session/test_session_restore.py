@@ -261,7 +261,7 @@ def test_a_folder_that_nobody_may_write_to_costs_the_memory_and_not_the_start(pr
     assert not kept_file(program).exists()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_scan_of_a_plan_that_was_opened_again_waits_for_a_look_at_the_sample(tmp_path, patience_s):
     first = Session(tmp_path)
     first.edit_job(small_job()).result()

@@ -94,6 +94,7 @@ def test_killed_process_keeps_no_lock_of_a_disk_without_locks(tmp_path, without_
     Lock.take(tmp_path).release()
 
 
+@pytest.mark.campaign(at_least_one=True)
 def test_name_is_free_again_after_its_maker_was_killed_on_a_disk_without_locks(tmp_path, without_locks):
     folder = tmp_path / "a.wafer"
     folder.mkdir()

@@ -18,7 +18,7 @@ def readers(tmp_path_factory):
     return outside_readers(tmp_path_factory.mktemp("fuzz"))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_no_mutation_raises_a_foreign_exception_hangs_or_fills_the_memory(readers):
     contents = {reader.name: reader.path.read_bytes() for reader in readers}
     faults = list[str]()

@@ -182,6 +182,7 @@ def test_a_text_of_settings_is_no_program(tmp_path: Path, kind: str) -> None:
     assert not mark.exists()
 
 
+@pytest.mark.slow
 def test_nothing_of_the_package_unpickles_or_evaluates_what_it_reads() -> None:
     """No call of pickle, eval, exec, os.system, a shell or an unsafe loader of YAML is in the package."""
     forbidden = {"eval", "exec", "pickle.load", "pickle.loads", "os.system", "os.popen", "yaml.load", "marshal.loads"}

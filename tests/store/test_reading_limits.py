@@ -102,6 +102,7 @@ def bomb() -> bytes:
     return out.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("read", [read_npz, read_planes, read_poses, open_golden, read_surface])
 def test_an_archive_that_unpacks_to_far_more_than_its_file_is_refused(tmp_path, read, bomb):
     path = tmp_path / "bomb.golden.npz"
@@ -109,6 +110,7 @@ def test_an_archive_that_unpacks_to_far_more_than_its_file_is_refused(tmp_path, 
     assert "unpacks to 300.0 MB, more than 256.0 MB" in refusal(path, read)
 
 
+@pytest.mark.slow
 def test_the_limits_can_be_raised(tmp_path, monkeypatch, bomb):
     path = tmp_path / "planes.npz"
     path.write_bytes(bomb)

@@ -1,6 +1,8 @@
 """Long campaigns: complete on request, a tenth of them in every ordinary run, drawn by the commit.
 
-A test marked ``campaign`` is drawn as a whole, each set of its parameters by itself. One marked
+A test marked ``campaign`` is drawn as a whole, each set of its parameters by itself; of one marked
+``campaign(at_least_one=True)`` every run takes one set or more. Those of a file that are marked
+``campaign(together=True)`` are drawn together: they go on from each other, or share what takes long. A test marked
 ``campaign(within=True)`` always runs and draws its own cases by `drawn_cases`.
 """
 
@@ -10,7 +12,8 @@ import functools
 import os
 import subprocess
 import zlib
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 import pytest
@@ -39,11 +42,42 @@ def is_drawn(case: str) -> bool:
     return COMPLETE or (zlib.crc32(case.encode()) + zlib.crc32(draw().encode())) % SHARE == 0
 
 
+def one_drawn(cases: Sequence[T]) -> T:
+    """Return one of the cases, another at another commit."""
+    return cases[zlib.crc32(draw().encode()) % len(cases)]
+
+
 def drawn_cases(cases: Iterable[T], name: Callable[[T], str] = str) -> list[T]:
     """Return a tenth of the cases, at least one, or all of them in a complete campaign."""
     cases = list(cases)
-    one = zlib.crc32(draw().encode()) % max(len(cases), 1)
-    return [case for case in cases if is_drawn(name(case))] or cases[one : one + 1]
+    return [case for case in cases if is_drawn(name(case))] or ([one_drawn(cases)] if cases else [])
+
+
+def drawn(items: Iterable[pytest.Item]) -> set[pytest.Item]:
+    """Return the tests of this run: campaigns are drawn, but for a test that was asked for by its name."""
+    items = list(items)
+    named = any("::" in word for word in items[0].config.invocation_params.args) if items else False
+    now = {item for item in items if named or runs_always(item) or is_drawn(drawn_by(item))}
+    cases: dict[str, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        if (campaign := item.get_closest_marker("campaign")) and campaign.kwargs.get("at_least_one", False):
+            cases[item.nodeid.partition("[")[0]].append(item)
+    for of_one in cases.values():
+        if now.isdisjoint(of_one):
+            now.add(one_drawn(of_one))
+    return now
+
+
+def runs_always(item: pytest.Item) -> bool:
+    """Return whether a test is no campaign, or draws its cases itself."""
+    campaign = item.get_closest_marker("campaign")
+    return campaign is None or campaign.kwargs.get("within", False)
+
+
+def drawn_by(item: pytest.Item) -> str:
+    """Return the name by which a test is drawn: that of its file for tests that are drawn together."""
+    together = any(mark.kwargs.get("together", False) for mark in item.iter_markers("campaign"))
+    return item.nodeid.partition("::")[0] if together else item.nodeid
 
 
 def drawn_after(always: int, cases: Iterable[T]) -> list[T | ParameterSet]:

@@ -15,7 +15,7 @@ from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign(together=True)
 SIGMA_UM = 0.186
 """Kept from height_noise_um(): a field less to render."""
 MOST_FALSE = 4

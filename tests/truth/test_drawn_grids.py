@@ -34,6 +34,7 @@ def seeds_of(kinds: dict[str, tuple[int, ...]]) -> list[object]:
     return drawn_after(len(kinds), pairs)
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("drawn_from", seeds_of(SEEDS), ids=str)
 def test_fields_are_where_they_truly_are(drawn_from: tuple[str, int]) -> None:
     kind, seed = drawn_from
@@ -69,6 +70,7 @@ def test_many_fields_of_large_dies_are_placed_under_light_that_falls_off() -> No
     assert (found.wrong, found.found, found.alarms) == (0, found.planted, 0)
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("drawn_from", seeds_of(MISFITS), ids=str)
 def test_misfits_among_dies_are_found_and_named(drawn_from: tuple[str, int]) -> None:
     what, seed = drawn_from
@@ -77,6 +79,7 @@ def test_misfits_among_dies_are_found_and_named(drawn_from: tuple[str, int]) -> 
     assert sum(what in note and "left out" in note for note in found.notes) == 1
 
 
+@pytest.mark.campaign
 def test_swapped_fields_are_found_among_fields_that_only_lie_elsewhere() -> None:
     """A field beside one may have been placed a period off: it is a suspect too, but fits where it belongs."""
     grid = made(dataclasses.replace(drawn(46), misfits=((5, "swapped"), (23, "swapped")), missing=(), noise=0.9))
@@ -86,6 +89,7 @@ def test_swapped_fields_are_found_among_fields_that_only_lie_elsewhere() -> None
     assert (found.turned, found.swapped) == ({}, ((5, 23),))
 
 
+@pytest.mark.campaign
 def test_the_limit_is_what_noise_and_overlap_make_of_it() -> None:
     grid = drawn(11)
     tiles = made(grid)

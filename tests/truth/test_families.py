@@ -23,7 +23,7 @@ def drawn(family: str) -> FamilyScene:
     return family_scene(family, SEED)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_seed_gives_the_same_bits_again(family):
     again = family_scene(family, SEED)
@@ -31,7 +31,7 @@ def test_a_seed_gives_the_same_bits_again(family):
     assert np.array_equal(drawn(family).truth_um, again.truth_um)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_sweep_covers_the_sample(family):
     scene = drawn(family)
@@ -59,7 +59,7 @@ def test_a_wrong_truth_makes_all_heights_false():
     assert false.false_of_kept > 0.99
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_command_prints_a_row_for_each_family():
     command = ("tests/bench/bench_families.py", "--quick", "--families", "boards", "bumps", "--from", str(SEED))
     told = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=True).stdout

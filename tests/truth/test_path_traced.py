@@ -24,7 +24,7 @@ def a_corner_raised() -> Solid:
     return Solid("corner", height_um, reflectance, np.zeros((n, n), bool), 0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_each_part_is_sharp_at_its_own_height_and_where_it_lies() -> None:
     low, high = light_of(a_corner_raised(), 0.4, np.array([0.0, 12.0]), SIDE, 128, 1)
     quarters = {
@@ -41,6 +41,7 @@ def test_each_part_is_sharp_at_its_own_height_and_where_it_lies() -> None:
     assert low[quarters["bright"]].mean() > 2 * low[quarters["lower right"]].mean()
 
 
+@pytest.mark.slow
 def test_kinds_of_samples_and_their_walls() -> None:
     solids = [drawn_solid(SIDE, np.random.default_rng(seed)) for seed in range(24)]
     assert {solid.name for solid in solids} == {"dies", "balls", "pits", "step"}

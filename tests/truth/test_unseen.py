@@ -19,7 +19,7 @@ def seen_scene(seed: int) -> Unseen:
     return drawn_scene(seed, SIDE)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_seed_gives_the_same_bits_again(seed):
     one, again, other = seen_scene(seed), drawn_scene(seed, SIDE), seen_scene(seed + 2)
@@ -37,7 +37,7 @@ def test_the_sweep_covers_the_sample(seed):
     assert one.stack.depth_of_field_um in (0.0, one.instrument.depth_of_field_um)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_dark_frames_and_flashes_show():
     scenes = [seen_scene(seed) for seed in range(0, 60, 2)]
     assert {s.instrument.dark for s in scenes} == {s.instrument.flashes for s in scenes} == {0, 1}

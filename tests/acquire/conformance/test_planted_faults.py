@@ -112,6 +112,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("planted", PLANTED.values(), ids=PLANTED)
 def test_a_planted_fault_fails_exactly_the_check_that_names_it(planted, switched_on, begun):
     rig = switched_on(planted.faults(begun))

@@ -30,6 +30,7 @@ def place(rig, x_um, y_um, z_um):
     rig.stage.move_to(x_um=x_um, y_um=y_um, z_um=z_um)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("x_um", "y_um", "off_um", "seed"),
     [(0.0, 0.0, 0.0, 1), (500.0, -300.0, 35.0, 2), (-700.0, 250.0, -48.0, 3), (120.0, 640.0, 150.0, 4)],

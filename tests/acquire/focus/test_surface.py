@@ -41,6 +41,7 @@ def lattice(n: int, half_um: float):
     return np.array([(x, y) for y in at for x in at])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_places", [9, 16])
 def test_twice_the_uncertainty_holds_the_heights_of_unseen_fields(n_places):
     held = []

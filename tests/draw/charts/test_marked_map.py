@@ -39,6 +39,7 @@ def test_a_map_has_axes_scale_and_colour_bar():
     assert svg == drawn([FACE])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [2, 5, 60])
 def test_numbers_of_places_at_the_same_corner_do_not_cover_each_other(n):
     svg = drawn(*[[FACE]] * n)

@@ -76,7 +76,7 @@ def test_a_page_of_vectors_is_seventeen_by_nine_centimetres():
     assert b"/TrueType" in pdf or b"/CIDFontType2" in pdf
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("kind", ["png", "pdf", "svg"])
 def test_the_same_sections_are_the_same_file_whatever_the_users_settings_are(kind):
     before = profile_figure([with_a_gap()], kind)
@@ -85,6 +85,7 @@ def test_the_same_sections_are_the_same_file_whatever_the_users_settings_are(kin
         assert mpl.rcParams["font.size"] == 30.0
 
 
+@pytest.mark.slow
 def test_without_a_measured_point_there_are_axes_alone():
     nothing = section_of(np.full(50, np.nan))
     assert counts(profile_figure([nothing], "png"), PROFILE_COLOURS[0]) < 1000  # the line of the legend

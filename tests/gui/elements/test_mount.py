@@ -195,6 +195,7 @@ def test_a_failure_has_the_title_of_the_element_of_its_stack_or_of_the_step(moun
     assert [title for title, _ in page.told] == ["Not kept", "The line was not changed", "The setting was not changed"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "typed", "got"),
     [
@@ -216,6 +217,7 @@ def test_what_a_person_sets_comes_as_the_value_of_the_element(mount: Mount, elem
     assert put == [got]
 
 
+@pytest.mark.slow
 def test_a_number_that_is_none_is_refused_with_its_name_and_limit(mount: Mount, page: Page):
     put: list[Any] = []
     mount.show([NumberOrEmpty("λc, µm", None, put.append, "", over=0.0)])

@@ -88,6 +88,7 @@ def test_heights_are_drawn_over_the_zero_that_was_chosen(scene: SceneView) -> No
     assert (levelled.scale.low, levelled.scale.high) == pytest.approx((0.0, 12.0), abs=0.5)
 
 
+@pytest.mark.slow
 def test_colours_run_between_the_heights_that_are_in_view(browser: Browser, scene: SceneView) -> None:
     on_show(scene, View(step="surface", levelling=BY_PLANE))
     browser.camera.look_at = np.array([0.0, 0.0, 0.0])

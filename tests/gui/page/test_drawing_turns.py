@@ -37,6 +37,7 @@ def test_only_one_page_of_those_who_look_on_draws_at_a_time() -> None:
     assert most == 1
 
 
+@pytest.mark.slow
 def test_no_page_is_drawn_again_while_another_waits() -> None:
     turns, order, n_pages = DrawingTurns(), list[int](), 5
 
@@ -78,6 +79,7 @@ def test_a_page_that_has_to_hurry_draws_during_the_turn_of_another() -> None:
     slow.join(30)
 
 
+@pytest.mark.slow
 def test_after_a_turn_twice_the_time_that_it_took_is_left_to_others() -> None:
     turns, ends = DrawingTurns(), list[tuple[float, float]]()
 
@@ -104,7 +106,7 @@ def test_an_error_ends_the_turn() -> None:
     assert drawn == [1]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_while_states_come_fast_one_browser_that_looks_on_is_drawn_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     lock, drawing, most = threading.Lock(), set[int](), 0
     n_of_holder, hurried = 0, dict[int, bool]()

@@ -73,6 +73,7 @@ def test_quantities_read_in_units_of_their_size_with_u_to_two_figures(value, uni
     assert value_texts(Quantity(value=value, unit=unit, expanded=expanded)) == said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", list(TOOLS))
 def test_every_quantity_of_a_result_is_shown(tool, found):
     text = words.numbers(found[tool])

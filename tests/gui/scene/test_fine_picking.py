@@ -35,7 +35,7 @@ def surface():
     return height_map(z, PIXEL_UM, 0.0, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("datum", [None, TILTED])
 def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
     shelf = MemoryShelf({0: surface})

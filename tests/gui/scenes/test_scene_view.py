@@ -126,6 +126,7 @@ def test_a_surface_stands_as_tiles_on_a_plinth_with_figures(browser: Browser, sc
     assert all(browser.scene.names(part) for part in ("plinth", "shadow", "hatch", "scale", "/wall-"))
 
 
+@pytest.mark.slow
 def test_the_same_again_asks_for_nothing(browser: Browser, session: StandIn, scene: SceneView) -> None:
     scene.draw(SNAPSHOT, View(step="surface"))
     settled(scene)
@@ -584,6 +585,7 @@ def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
     assert shadow < 2 * hatch + 1e-6 < 0
 
 
+@pytest.mark.slow
 def test_the_hatch_lies_under_points_only_where_nothing_was_measured():
     import trimesh
 

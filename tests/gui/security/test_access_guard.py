@@ -263,6 +263,7 @@ def test_a_message_that_no_page_sends_closes_its_connection_with_one_line(server
     assert socket_status(server, Origin=f"http://127.0.0.1:{server[0].get_port()}", Cookie=cookie(server)) == 101
 
 
+@pytest.mark.slow
 def test_a_message_that_a_handler_cannot_take_is_one_line_and_the_connection_stays(server: Server, caplog, capfd):
     number = server[0].gui.add_number("Number", 1.5)
     typed = {"type": "GuiUpdateMessage", "uuid": number._impl.uuid, "updates": {"value": "no number"}}

@@ -112,7 +112,7 @@ def test_a_head_without_end_is_cut_off(server: Server, flood: bytes) -> None:
     assert get(server, token_path(server)).status == 200
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_half_open_requests_do_not_hold_up_the_page_and_are_closed(server: Server) -> None:
     port = server[0].get_port()
     with contextlib.ExitStack() as until_end:

@@ -49,6 +49,7 @@ def test_a_server_that_does_not_answer_itself_does_not_start() -> None:
         require_refusals(f"http://127.0.0.1:{free_port()}")
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_one_sentence(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -72,6 +72,7 @@ def text(here: Here[Any], step: Any = gauge_step) -> str:
     return "".join(str(e.content) for e in html_of(here, step))
 
 
+@pytest.mark.slow
 def test_each_state_of_a_check_has_one_leading_button(begin: Any):
     for state, label in (
         (GaugeState(), "Load the certificate…"),
@@ -84,6 +85,7 @@ def test_each_state_of_a_check_has_one_leading_button(begin: Any):
         assert leads & shown(here, gauge_step).keys() == {label}
 
 
+@pytest.mark.slow
 def test_the_step_is_measured_again_and_the_check_begun_anew(begin: Any):
     here = begin(FIRST)
     assert shown(here, gauge_step)["Measure again"].disabled
@@ -144,6 +146,7 @@ def test_each_term_is_put_and_shown(begin: Any, label: str, put: Any, field: str
     assert shown(here, gauge_step)[label].value == now
 
 
+@pytest.mark.slow
 def test_terms_and_buttons_are_of_the_present_check(begin: Any):
     here = begin(checked())
     here.page.change(check=here.page.session.snapshot.gauge.records[0].check.at)
@@ -163,6 +166,7 @@ def test_enter_goes_through_the_procedure(begin: Any):
     assert len(here.page.session.snapshot.gauge.repeats) == 1
 
 
+@pytest.mark.slow
 def test_another_scale_is_offered_only_after_a_check_that_asks_for_it(begin: Any):
     assert "Correct the z scale…" in shown(begin(correctable()), gauge_step)
     assert "Correct the z scale…" not in shown(begin(checked()), gauge_step)

@@ -37,6 +37,7 @@ def state() -> GaugeState:
     return worked_out(checked())
 
 
+@pytest.mark.slow
 def test_the_verdict_stands_with_error_limit_and_en(state: GaugeState):
     assert state.check is not None
     card = words.verdict_card(state.check)
@@ -75,6 +76,7 @@ def test_points_are_ticked_in_their_order():
     assert "Clean the blocks, wring them, done" in procedure(ticked)
 
 
+@pytest.mark.slow
 def test_the_chart_has_every_check_with_its_look_and_names_its_lines(state: GaugeState):
     assert state.chart is not None
     drawn = run_chart_html(state.chart)

@@ -115,6 +115,7 @@ def test_a_face_is_looked_for_where_nothing_stands_out(tool) -> None:
     assert x1 <= 260
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("tool", list(TOOLS))
 @pytest.mark.parametrize("surface", [bumped, roof])
 def test_every_tool_begins_with_the_places_it_asks_for_on_the_surface(tool, surface: Callable[[], np.ndarray]) -> None:

@@ -141,6 +141,7 @@ def test_the_texture_of_waves_is_that_of_the_textbook():
     assert any("give it with noise_um" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_with_its_noise_a_texture_has_an_uncertainty_that_covers_what_noise_added():
     true = wavy(0.2)
     noisy = surface_of(true.z_um + noise_of(5, SHAPE, 0.1, 5.0), calibration=calibration(u_z_scale=0.01))
@@ -164,6 +165,7 @@ def test_without_a_valid_calibration_texture_and_flatness_have_no_u():
     assert flatness(wavy(), WAVES, calibration_valid=False).flt_t.status == "uncalibrated"
 
 
+@pytest.mark.slow
 def test_what_the_focus_window_took_of_short_waves_is_in_the_budget():
     def line(window):
         made = replace(Recipe(), window=window)

@@ -55,6 +55,7 @@ def stepped(correlation_px, around=True, seed=1):
     return surface_of(z_um, calibration=calibration(0.0))
 
 
+@pytest.mark.slow
 def test_small_faces_have_the_errors_of_what_surrounds_them():
     found = [step_height(stepped(32.0, seed=seed), UPPER, LOWER) for seed in range(10)]
     assert np.mean([abs(step.height.value_um - 5) <= step.height.expanded_um for step in found]) >= 0.8

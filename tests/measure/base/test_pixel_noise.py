@@ -76,6 +76,7 @@ def test_scatter_and_noise_of_pixels_are_pooled_and_form_stays():
     assert noise_um(Scatter(0.1, 1e6), 0.3).u == pytest.approx(0.1, rel=1e-3)  # many residuals know better
 
 
+@pytest.mark.slow
 def test_noisy_pixels_make_a_step_a_groove_and_a_bump_less_certain():
     x_um, y_um = np.meshgrid(*coordinates(240, 320))
     seen_um = noise_of(1, x_um.shape, 0.02, 2 * WINDOW)  # few independent errors: they may hide the noise

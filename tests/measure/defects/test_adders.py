@@ -60,6 +60,7 @@ def test_planted_adders_are_found_although_the_wafer_lies_elsewhere(seed: int):
     assert found.by_chance < 0.02 * 180
 
 
+@pytest.mark.campaign
 def test_coincidences_are_as_many_as_expected():
     rng = np.random.default_rng(1030)
     counted, expected = 0, 0.0

@@ -38,6 +38,7 @@ def whole() -> Wafer:
     return wafer(3, (3, 3), (120, 140), (Planted("bump", 250.0, 392.0, 30, 8),))
 
 
+@pytest.mark.slow
 def test_ground_beyond_the_wafer_is_not_inspected(whole: Wafer):
     sound, cut = inspected(whole), inspected(without_corner(whole))
     assert [d.die for d in cut.found] == [d.die for d in sound.found]

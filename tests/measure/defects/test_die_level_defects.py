@@ -55,7 +55,7 @@ def test_a_die_that_is_lower_and_tilted_is_tilted_and_one_that_is_lower_alone_is
     assert list(kinds(die5=dataclasses.replace(low, tilt=(0.02, 0.0))).values()) == ["tilted die"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", [10, 4])
 def test_every_die_is_measured_and_named_beside_other_defects(seed: int):
     made_up = planted(seed)
@@ -85,6 +85,7 @@ def test_every_die_is_measured_and_named_beside_other_defects(seed: int):
     assert np.mean(hit) >= 0.85, "they are found on tilted dies too"
 
 
+@pytest.mark.campaign
 def test_a_missing_die_at_the_rim_is_named_and_the_ground_beyond_the_array_is_not():
     for at in ((0, 3), (6, 0)):  # in a side of the array, and at a corner of it
         drawn = made(no_die=(at,))

@@ -35,6 +35,7 @@ def cells_of(of: Wafer):
             yield slice(round(r * down), round((r + 1) * down)), slice(round(c * right), round((c + 1) * right))
 
 
+@pytest.mark.slow
 def test_individually_tilted_dies_are_levelled() -> None:
     of, dice = made(), np.random.default_rng(5)
     z_um = of.surface.z_raw_um.copy()
@@ -58,6 +59,7 @@ def test_a_place_that_only_few_dies_know_is_not_known() -> None:
     assert np.isfinite(found.picture[64:76, 64:86]).all()
 
 
+@pytest.mark.slow
 def test_a_structure_that_begins_at_the_middle_of_the_street_is_not_trusted_on_its_other_side_either() -> None:
     """There few dies, far off their places, show it, and a robust spread does not tell."""
     of = made()

@@ -48,6 +48,7 @@ def at(inspection: Inspection, planted: Planted) -> Defect:
     return nearest
 
 
+@pytest.mark.slow
 def test_planted_defects_are_found_without_false_ones(found: Inspection) -> None:
     assert len(found.found) == len(PLANTED)
     assert found.reference == "dies"
@@ -150,7 +151,7 @@ def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     assert sum(d.repeats for d in inspection.found) == 9
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_was_compared_with_a_simulated_golden_die_is_simulated() -> None:
     clean, real = made(1, ()), made(2)
     assert not inspect(real.surface, real.grid, DULL, golden_of_surface(clean.surface, clean.grid)).simulated
@@ -252,7 +253,7 @@ def with_heights(surface: HeightMap, z: np.ndarray) -> HeightMap:
     return dataclasses.replace(surface, z_um=z, z_raw_um=z, origin=origin)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_places_round_the_dies_that_hold_none_are_no_defects_and_that_is_reported() -> None:
     of = wafer(6, (5, 5), (120, 140), no_die=((0, 0), (0, 4), (4, 0), (4, 4)))
     found = inspect(of.surface, replace(of.grid, named=False), DULL)

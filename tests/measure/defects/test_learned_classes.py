@@ -83,6 +83,7 @@ def right(found: Inspection) -> float:
     return float(np.mean([d.learned.kind == d.name for d in found.defects if d.learned is not None]))
 
 
+@pytest.mark.slow
 def test_classes_that_no_rule_knows_are_proposed_right_after_few_judgements():
     surface, found = made(1)
     before = judged(found, 24)
@@ -97,6 +98,7 @@ def test_classes_that_no_rule_knows_are_proposed_right_after_few_judgements():
     assert with_learned_classes(before, surface) == after, "the same every time"
 
 
+@pytest.mark.slow
 def test_the_judgements_of_another_wafer_serve_the_next_one():
     first_surface, first = made(2)
     learned_from = judged_defects(judged(first, 30), first_surface, wafer="w1/default")
@@ -108,6 +110,7 @@ def test_the_judgements_of_another_wafer_serve_the_next_one():
     assert of_others(learned_from, "w2/default") == learned_from
 
 
+@pytest.mark.slow
 def test_a_share_is_high_where_the_proposal_is_right():
     surface, found = made(4)
     after = with_learned_classes(judged(found, 12), surface)

@@ -92,6 +92,7 @@ def test_probability_of_chance_is_that_of_a_binomial_for_each_defect():
     assert place.chance_words == "by chance <0.1 %"
 
 
+@pytest.mark.campaign
 def test_probability_of_chance_bounds_the_rate_on_random_maps():
     maps = [repeated_places(inspection(*scattered(np.random.default_rng(seed), 90)), 14.0) for seed in range(300)]
     threes = {place.by_chance for places in maps for place in places if len(place.dies) == 3}

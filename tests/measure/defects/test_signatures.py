@@ -69,6 +69,7 @@ def hits(found: DefectSignature) -> tuple[int, int]:
     return planted, len(found.numbers) - planted
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("part", ["whole wafer", "quarter"])
 def test_random_wafers_have_no_more_signatures_than_the_level(part: str):
     on = dies() if part == "whole wafer" else tuple(die for die in dies() if die.col < 10 and die.row < 12)
@@ -100,6 +101,7 @@ def test_a_planted_scratch_is_named_with_its_direction(seed: int):
     assert found.length_um > 4 * found.width_um
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("kind", "radii_um"), [("ring", (22_000, 24_000)), ("edge", (45_000, 50_000)), ("center", (0, 15_000))]
 )

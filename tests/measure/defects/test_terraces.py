@@ -48,6 +48,7 @@ def test_a_pit_as_deep_as_the_next_level_is_a_defect_and_no_part_of_it():
     assert not walls[100, 100]
 
 
+@pytest.mark.slow
 def test_the_gel_drop_of_a_single_die_is_listed_and_unmeasured_ground_is_not():
     surface = virtual_part("wafer")
     found = inspect(surface)

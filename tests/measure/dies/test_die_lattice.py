@@ -50,7 +50,7 @@ def require_found(grid: DieGrid, wafer: Wafer) -> None:
     assert grid.height_um == pytest.approx(wafer.height_um, abs=MOST_PX * wafer.pixel_um)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("wafer", (TURNED | OTHERS).values(), ids=(TURNED | OTHERS).keys())
 def test_the_lattice_is_found_to_a_quarter_pixel(wafer):
     grid = find_dies(made(wafer))
@@ -59,7 +59,7 @@ def test_the_lattice_is_found_to_a_quarter_pixel(wafer):
     assert 0 < grid.u_pitch_um < 200e-6 * grid.pitch_x_um
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(("evidence", "other"), [("height", "all_in_focus"), ("picture", "z_um")])
 def test_either_evidence_is_enough(evidence, other):
     surface = made()
@@ -145,7 +145,7 @@ def test_dies_missing_next_to_a_gap_within_the_wafer_are_no_rim():
     assert without_bare_rim(surface, grid, statuses(surface, grid)) == grid
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
     few = dataclasses.replace(lattice_refinement.REFINEMENT, cells_pixels=1)
     monkeypatch.setattr(lattice_refinement, "REFINEMENT", few)
@@ -160,7 +160,7 @@ def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
     assert set(zip(col.astype(int).tolist(), row.astype(int).tolist(), strict=True)) <= out
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_turned_surface_has_only_the_dies_that_lie_on_it():
     surface = made(TURNED["turned by 3"])
     grid = find_dies(surface)
@@ -181,7 +181,7 @@ def test_a_die_cut_by_the_edge_of_the_wafer_is_known():
     assert cut == {"cut"}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_few_and_large_dies_are_found():
     wafer = Wafer(pitch_x_um=620.0, width_um=560.0, pitch_y_um=540.0, height_um=490.0, angle_deg=0.5)
     grid = find_dies(made(wafer))
@@ -189,7 +189,7 @@ def test_few_and_large_dies_are_found():
     assert grid.pitch_y_um == pytest.approx(540.0, abs=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("wafer", "sentence"),
     [
@@ -239,7 +239,7 @@ def test_every_other_die_nearly_another_leaves_the_pitch_open():
         find_dies(every_other_die_another(118), evidence="picture")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_pitch_has_its_uncertainty_only_with_a_calibration():
     surface = made()
     grid = find_dies(surface)
@@ -291,7 +291,7 @@ def test_only_a_whole_die_that_was_looked_at_is_clean():
     assert replace(die, street_inspected=False, defects=0).word == "clean, street not inspected"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_wafer_of_the_virtual_rig():
     from tests.support.virtual_wafer import virtual_wafer
     from wafer_viewer.rigs.virtual.scenes.wafer import PITCH_X_UM, PITCH_Y_UM, TRENCH_UM, is_whole_die

@@ -40,7 +40,7 @@ def row_of_dies(seed: int) -> tuple[Wafer, object]:
     return wafer, printed
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", range(7))
 def test_one_row_or_column_of_dies_is_solved_or_refused(seed):
     wafer, printed = row_of_dies(seed)

@@ -8,7 +8,7 @@ from tests.bench.product_wafers import judged, product
 from wafer_viewer.measure.dies.die_lattice import find_dies
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     "seed",
     [

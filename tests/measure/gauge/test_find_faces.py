@@ -27,6 +27,7 @@ def test_the_faces_of_two_blocks_are_found_and_measured():
     assert abs(length.value_um - STEP_UM) <= length.expanded_um
 
 
+@pytest.mark.slow
 def test_small_faces_get_smaller_squares_and_say_so():
     upper, lower, notes = find_faces(gauge_blocks(1))
     assert side_um(upper) == pytest.approx(side_um(lower))

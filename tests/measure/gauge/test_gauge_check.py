@@ -207,6 +207,7 @@ def test_what_makes_no_check_is_refused(items, message):
         gauge_check(items, certificate())
 
 
+@pytest.mark.slow
 def test_a_step_is_measured_as_a_repeat_and_not_upside_down():
     surface = gauge_blocks(1, correlation_px=2.0, simulated=True)
     found = gauge_repeat(surface, UPPER, LOWER, dataset="scan")

@@ -80,6 +80,7 @@ def test_material_ratios_of_a_sine_are_those_of_its_curve():
     assert (silent.smr_fraction, silent.smc) == (None, None)
 
 
+@pytest.mark.slow
 def test_without_its_borders_a_filter_passes_half_at_the_cut_off():
     """A wave whose mean over what there is of the filter is furthest off at the border."""
     x, _ = lattice()
@@ -91,6 +92,7 @@ def test_without_its_borders_a_filter_passes_half_at_the_cut_off():
     assert abs(kept - true) > 2 * abs(cut - true)
 
 
+@pytest.mark.slow
 def test_cut_borders_follow_the_outline_and_leave_holes_alone():
     z_um = smooth_noise()
     z_um[100:110, 100:110] = np.nan
@@ -138,7 +140,7 @@ def with_own_u(z_um, u_um):
 NAMES = ("sa", "sq", "sz", "sk", "vmc", "s10z")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_u_by_the_uncertainty_of_the_heights_covers_what_noise_does():
     true = of(egg_box(), form_order=0)
     covered, sharp = dict.fromkeys(NAMES, 0), list[float]()
@@ -154,7 +156,7 @@ def test_u_by_the_uncertainty_of_the_heights_covers_what_noise_does():
     assert max(sharp) < 0.7
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_u_of_roughness_by_the_uncertainty_of_the_heights_covers_what_noise_does():
     line, names, n = Region.line(-299.75, 0.25, 299.75, 0.25), ("ra", "rq", "rz", "rsm", "rk"), 30
     true = along(wave_along(17.3, 0.8), lambda_c_um=100.0)
@@ -168,6 +170,7 @@ def test_u_of_roughness_by_the_uncertainty_of_the_heights_covers_what_noise_does
     assert min(covered.values()) >= 0.9 * n, covered
 
 
+@pytest.mark.campaign
 def test_a_given_noise_is_taken_instead_and_heights_without_uncertainty_have_no_u():
     own = texture(with_own_u(egg_box(), 0.1), FACE)
     given = texture(with_own_u(egg_box(), 0.1), FACE, noise_um=0.02)

@@ -42,6 +42,7 @@ def test_an_angle_without_noise_is_exact(slopes):
     assert found.first_sq_um < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_px", [0.0, 8.0])
 def test_the_uncertainty_covers_the_noise_of_the_faces(correlation_px):
     found = [

@@ -59,6 +59,7 @@ def dome(seed, radius_um=500.0, noise_um=0.1, correlation_px=8.0):
     return surface_of(noisy, calibration=calibration(), **SWEEP)
 
 
+@pytest.mark.slow
 def test_the_form_of_a_dome_is_no_noise_of_its_heights():
     places = [(x, y) for x in (-60.25, 0.25, 40.25) for y in (-30.25, 0.25)]
     found = [(point_height(dome(seed), Region.point(*at)).height, at) for seed in range(4) for at in places]
@@ -153,6 +154,7 @@ def test_a_measured_mapping_deviation_is_in_the_budget_across_and_no_longer_miss
     assert [any("distortion of the lens" in note for note in found.notes) for found in (before, after)] == [True, False]
 
 
+@pytest.mark.campaign
 def test_the_uncertainty_covers_the_errors_of_a_way():
     covered: list[tuple[bool, bool, bool]] = []
     for seed in range(8):

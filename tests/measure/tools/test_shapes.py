@@ -36,6 +36,7 @@ def test_a_kerf_of_38_4_px_is_measured_whichever_way_it_runs():
     assert found.kerf == "dark"
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_kerf_covers_its_error():
     found = [of_kerf(seed=seed, rows=160) for seed in range(40)]
     errors = [one.width.value_um - 38.4 * PIXEL_UM for one in found]

@@ -82,6 +82,7 @@ def u_of(budget, name):
     return {line.name: line.u_um for line in budget}[name]
 
 
+@pytest.mark.slow
 def test_tilt_and_the_step_at_the_joint_have_their_uncertainty():
     found = [step_height(gauge_blocks(s, 0.5, 4.0, u_z_scale=0.0), UPPER, LOWER) for s in range(12)]
     errors = np.array([step.at_joint.value_um - 399.88 for step in found])

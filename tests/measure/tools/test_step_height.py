@@ -50,7 +50,7 @@ def test_the_other_way_round_it_is_negative():
     assert back.height.expanded_um == pytest.approx(present.height.expanded_um, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_bias_over_many_scans_is_under_ten_nanometres():
     found = [step_height(gauge_blocks(s, correlation_px=0.0), UPPER, LOWER).height.value_um for s in range(20)]
     assert abs(np.mean(found) - STEP_UM) < 0.01
@@ -66,7 +66,7 @@ def test_the_uncertainty_covers_the_error_of_correlated_noise(correlation_px):
     assert expanded.mean() < 6 * errors.std(), "an uncertainty that is far too large is no help either"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_uncertainty_covers_a_wrong_z_scale():
     u = 5e-4
     covered = []

@@ -31,6 +31,7 @@ def drifts(random: np.random.Generator, unevenness: float, drift_px: float = 0.0
     return found
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("unevenness", [0.0, 1.5])
 def test_noise_alone_shows_no_drift(unevenness: float) -> None:
     found = drifts(np.random.default_rng(1), unevenness)

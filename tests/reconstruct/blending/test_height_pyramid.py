@@ -92,6 +92,7 @@ def test_a_pixel_of_every_level_is_the_mean_of_the_measured_pixels_of_the_map(ma
         assert_level(layers, base, level)
 
 
+@pytest.mark.slow
 def test_levels_that_are_computed_when_they_are_read_are_such_means_too(make_map: MakeMap) -> None:
     base = with_gaps(make_map(np.zeros((1100, 700))))
     mosaic = StitchedMosaic([base], layout([base]), mosaic_provenance([base.provenance], Recipe()))

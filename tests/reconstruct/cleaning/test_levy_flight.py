@@ -30,7 +30,7 @@ def _levy(mode: str, **settings: float) -> Levy:
     return Levy(**{"mode": mode, "n_sigma": 3.0, "alpha": 0.5, "iterations": FACTS.get(mode, 1), **settings})
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_literal_equations_raise_the_error_of_a_noisy_map(step: tuple[NDArray, NDArray]) -> None:
     truth, z = step
     assert rmse(z, truth) == pytest.approx(14.90, abs=0.05)
@@ -39,7 +39,7 @@ def test_the_literal_equations_raise_the_error_of_a_noisy_map(step: tuple[NDArra
     assert np.median(after) < 18
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(("mode", "left_um"), [("guided", 1.80), ("switching_median", 1.58), ("sigma_filter", 0.55)])
 def test_the_other_forms_take_salt_and_blobs_away(step: tuple[NDArray, NDArray], mode: str, left_um: float) -> None:
     truth, z = step
@@ -124,7 +124,7 @@ def test_a_sharp_corner_stays(noise_um: float, tilt: int) -> None:
     assert np.abs(smoothed - np.where(die, 40, 0)).max() < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_bump_20_px_wide_and_three_deviations_high_keeps_its_height_and_width() -> None:
     bump = _square(3, 20)
     rest = [smooth(np.where(bump, 3, 0) + _noise(seed), _levy("sigma_filter"), 10.0) for seed in range(5)]

@@ -22,6 +22,7 @@ def stair() -> Taken:
     return take(STAIR, (96, 160), Z_UM)
 
 
+@pytest.mark.slow
 def test_heights_next_to_a_step_belong_to_their_side(stair: Taken) -> None:
     gates = Recipe(window=9, edges="none", least_probability=0.0)
     weighed, gated = (reconstruct(stair.stack, recipe) for recipe in (Recipe(window=9), gates))

@@ -29,7 +29,7 @@ def shift_at_centre(found: Registration, x_um: float, y_um: float, turn_mrad: fl
     return x_um + cos * dx - sin * dy - dx, y_um + sin * dx + cos * dy - dy
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("moved", [(3.3, -7.7, 0.0), (21.2, -11.1, 3.0), (-8.0, 12.4, -45.0)])
 def test_shift_and_turn_are_found_within_their_uncertainty(first, moved):
     found = compare(first, taken(*moved, seed=1)).registration
@@ -42,6 +42,7 @@ def test_shift_and_turn_are_found_within_their_uncertainty(first, moved):
     assert abs(found.turn_mrad - moved[2]) < found.u_turn_mrad
 
 
+@pytest.mark.slow
 def test_height_and_tilt_are_found_within_their_uncertainty(first):
     found = compare(first, tilted(taken(3.0, 2.0, seed=1), 4.2, 2.0, -1.0)).registration
     at_centre = 4.2 + 1e-3 * (2.0 * (found.about_x_um - 3.0 - X0_UM) - (found.about_y_um - 2.0 - Y0_UM))
@@ -105,7 +106,7 @@ def test_unmeasured_stays_unmeasured_for_the_reason_it_has(first):
     assert (part.confidence <= np.minimum(first.confidence, other.confidence) + 1e-6).all()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("second", "align", "why"),
     [

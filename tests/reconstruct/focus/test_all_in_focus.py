@@ -111,7 +111,7 @@ def errors_without_heights(scene: FamilyScene) -> tuple[float, float]:
     return tuple(errors(picture, scene.sharp_grey, without).rms for picture in pictures)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", [13, 14])
 def test_parts_without_heights_are_read_where_they_are_sharp(seed: int):
     """Dark detail too: parts of a board lie at other depths than what is measured around them."""

@@ -114,7 +114,7 @@ def test_it_is_known_and_used_everywhere(
     assert f"'{NAME}'" in found["refusal"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_command_line_takes_it(installed: Path, pages: Path, tmp_path: Path, plane_um: NDArray[np.float64]) -> None:
     out = tmp_path / "z.npz"
     words = ["reconstruct", pages, "--z-step-um", 4, "--pixel-um", 0.5, "-o", out]

@@ -42,7 +42,7 @@ def test_three_points_follow_the_frames() -> None:
     assert phase_error(*errors_of(seen, heights(seen, "blur_law"))).rms > 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("peak", ["blur_law", DEFAULT])
 def test_frames_at_uneven_distances_are_allowed_for(peak: str) -> None:
     seen = stairs(dataclasses.replace(PLANE, jitter=0.3))

@@ -105,7 +105,7 @@ def rims_of(taken: Taken) -> NDArray[np.bool_]:
     return taken.scene.edge & taken.scene.textured & (taken.scene.layer == 1)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_hardly_a_kept_height_is_false(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     none, band, rims = (kept_and_false(mapped[mode], dies) for mode in ("none", "band", "rims"))
     assert none[1] > 0.005
@@ -157,7 +157,7 @@ def test_bright_dies_over_a_dark_trench() -> None:
     assert after[0] > 0.66
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_glow_of_a_polished_rim_is_no_surface() -> None:
     taken = take(POLISHED, SHAPE, Z_UM)
     inside = (taken.scene.layer == 1) & ~taken.scene.edge

@@ -54,6 +54,7 @@ def sums(scores: Scores, trees: Trees, shape: tuple[int, int]) -> NDArray[np.flo
     return total
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("shape", [(70, 45), (33, 64)])
 def test_probability_is_that_of_the_sum_of_the_leaves(shape: tuple[int, int]) -> None:
     scores, trees = some_scores(shape), trained_trees()
@@ -190,7 +191,7 @@ def test_gates_decide_alone_where_no_probability_is_wanted() -> None:
 CALIBRATED = [("print", 951), ("textbook", 950), ("metal", 950), ("bare", 951), ("bumps", 951), ("trenches", 950)]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_probability_holds_on_scenes_of_other_seeds() -> None:
     """Of what is told to be at least so probable as much is right; 3 % for the few scenes."""
     right, told = [], []

@@ -172,7 +172,7 @@ def test_neighbours_that_hold_each_other_do_not_lie_a_period_off_together(seed):
     assert np.abs(error_px(told, true, choice)).max() < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_few_patterns_among_very_many_fields_are_chosen_like_those_of_few_fields():
     """From 2000 fields on, they are moved together by an iterative solver."""
     fields, random = grid(60, 50), np.random.default_rng(8)

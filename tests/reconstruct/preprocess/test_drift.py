@@ -63,6 +63,7 @@ def jumps() -> NDArray:
     return np.cumsum(np.where(np.isin(np.arange(25), (7, 12, 16)), [3.3], 0.0)) - 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows_px", [STILL, 0.3 * EVENLY], ids=["still", "0.3 px"])
 def test_what_stays_under_half_a_pixel_is_left_alone(wide_stack: FieldStack, rows_px: NDArray) -> None:
     frames = prepare(moved(wide_stack, rows_px, -rows_px))

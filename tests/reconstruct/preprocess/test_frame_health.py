@@ -146,7 +146,7 @@ def test_a_slit_of_light_that_is_in_focus_in_one_frame_is_no_fault(make_stack: M
     assert reported(changed(level, along_z(light))) == []
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("seed", range(20, 32))
 def test_bleeding_and_clipped_light_is_no_fault(seed: int):
     assert reported(seen(drawn(seed), (64, 96)).stack) == []

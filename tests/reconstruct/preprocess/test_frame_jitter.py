@@ -29,7 +29,7 @@ def found_in(stack: FieldStack) -> FrameJitter:
     return frame_jitter(block_means(frames, stack.depth_of_field_um), frames.z_um, frames.step_um)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("jitter_dof", [0.03, 0.06])
 def test_level_faces_show_the_jitter_of_their_frames(jitter_dof: float):
     found = [found_in(two_faces(dataclasses.replace(STILL, jitter_dof=jitter_dof), seed)) for seed in range(8)]
@@ -45,7 +45,7 @@ def test_sharp_frames_show_none(step_dof: float, flicker: float):
     assert found_in(stack).sigma_um < 0.02 * stack.z_step_um
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("step_dof", [0.6, 0.8, 0.9])
 def test_rays_that_few_frames_see_show_none(step_dof: float):
     """A lens of rays is sharp in a single frame of a coarse sweep: no jitter, but curves of about one step."""

@@ -30,6 +30,7 @@ def off_px(poses: Poses, tiles: MadeGrid) -> float:
     return float(np.sqrt(np.mean((off - off.mean(axis=0)) ** 2)))
 
 
+@pytest.mark.slow
 def test_overlaps_that_are_bent_alike_are_believed():
     tiles = grid(1000, distortion=0.008, lens_at=(0.0, 0.8))
     poses = stitch(tiles.heights).poses
@@ -38,6 +39,7 @@ def test_overlaps_that_are_bent_alike_are_believed():
     assert re.search(r"overlaps are bent alike, by [\d.]+ px at their ends", note)
 
 
+@pytest.mark.slow
 def test_foreign_field_is_left_out_though_overlaps_are_bent():
     tiles = grid(1001, distortion=0.008, lens_at=(0.0, 0.8), misfits=((5, "foreign"),))
     poses = stitch(tiles.heights).poses
@@ -46,6 +48,7 @@ def test_foreign_field_is_left_out_though_overlaps_are_bent():
     assert (poses.shifts.doubt[~at_foreign] == RejectionReason.NONE).all()
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("distortion", [0.004, -0.004])
 def test_distortion_of_the_lens_does_not_move_fields(distortion):
     tiles = grid(1002, distortion=distortion)
@@ -61,6 +64,7 @@ def test_distortion_of_the_lens_does_not_move_fields(distortion):
     assert off_px(straight, grid(1002)) < 0.02
 
 
+@pytest.mark.slow
 def test_pattern_under_a_distorting_lens_is_told():
     tiles = grid(1003, distortion=0.004, kind="dies", pitch_px=(20.0, 20.0), angle=0.0)
     poses = stitch(tiles.heights).poses
@@ -75,6 +79,7 @@ def test_few_overlaps_that_bend_alike_by_chance_are_no_distortion():
     assert off_px(poses, tiles) < 0.03
 
 
+@pytest.mark.slow
 def test_calibrated_pixel_size_holds_what_borders_show_of_a_distortion():
     tiles = grid(1004, distortion=0.004, rows=6, cols=6, stage_px=0.5)
     poses = stitch(calibrated(tiles)).poses

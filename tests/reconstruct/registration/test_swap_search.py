@@ -26,6 +26,7 @@ def left_out(grid: MadeGrid) -> set[int]:
     return set(np.flatnonzero(stitch(grid.heights).poses.left_out).tolist())
 
 
+@pytest.mark.slow
 def test_swapped_fields_among_equal_dies_are_named():
     grid = made(dies(1.0, SWAPPED))
     assert swap_nats(grid) > 30

@@ -37,6 +37,7 @@ def test_frames_with_lost_packets_have_no_image_and_no_number(aravis):
     assert len(between) - 1 <= counts[-1] - counts[0] <= periods + 1
 
 
+@pytest.mark.campaign
 def test_a_lost_camera_is_reported_in_words(aravis):
     fake, connect = aravis
     process = fake()
@@ -69,6 +70,7 @@ def test_the_trigger_line_and_the_region_are_set(aravis):
         camera.fire()
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -87,6 +89,7 @@ def test_settings_that_the_camera_lacks_are_refused_in_words(aravis, options, wo
         connect(**options)
 
 
+@pytest.mark.campaign
 def test_a_camera_is_found_by_its_serial_number_and_has_one_controller(aravis):
     fake, connect = aravis
     fake()

@@ -29,7 +29,7 @@ def test_frames_come_in_order_with_status_and_image(bench):
         assert image.image.dtype == (np.uint8 if bench.limits.bits == 8 else np.uint16)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 def test_images_are_the_readers_own(bench):
     bench.start()
     first = bench.take(1)[0].image

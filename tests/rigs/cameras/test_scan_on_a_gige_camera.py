@@ -93,7 +93,7 @@ def slots_off(leg, frames, limits):
     return off - np.median(off)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_frames_with_lost_packets_are_taken_again_and_none_slips(aravis):
     fake, connect = aravis
     fake(lost=0.08)

@@ -78,7 +78,7 @@ def test_every_example_can_be_read_and_sent_to_another_process(file):
     assert pickle.loads(pickle.dumps(config)) == config
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot", "x_lines"])
 @pytest.mark.parametrize("name", COMPOSED)
 def test_a_whole_scan_through_the_drivers_takes_every_frame_where_it_should(name, strategy, opened):

@@ -55,6 +55,7 @@ def box(world):
     return box
 
 
+@pytest.mark.slow
 def test_at_the_start_the_count_is_0_wherever_the_scale_stands_and_arming_is_refused(world):
     world.move(5_000)
     world.reboot()
@@ -229,6 +230,7 @@ def test_a_halt_stops_pulses_at_once(world, box):
     assert box.disarm().emitted < N
 
 
+@pytest.mark.campaign(at_least_one=True)
 @of_the_board
 def test_a_box_alone_meets_the_demands_of_the_conformance_checks(world):
     world.move(5_000)
@@ -239,7 +241,7 @@ def test_a_box_alone_meets_the_demands_of_the_conformance_checks(world):
     assert {name: (one.fault, one.skipped) for name, one in outcomes.items() if one.fault or one.skipped} == {}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 def test_a_pass_may_be_longer_than_the_ring(world, box):
     n = box.identity.ring + 100
     train = train_from(world.position, n=n, pitch=40 if n < 1_000 else 20)
@@ -277,6 +279,7 @@ def test_commands_and_values_that_make_no_sense_are_refused_with_a_reason(world,
             box._ask(verb, **values)
 
 
+@pytest.mark.slow
 @of_the_core
 def test_what_is_no_line_is_ignored(world, box):
     for noise in (b"\n", b"C", b"\x00\xff" * 400, b"C0001 FIRE*0000\n", b"x" * 1_000 + b"\n", b"C0001 \n"):

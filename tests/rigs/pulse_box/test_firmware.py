@@ -12,6 +12,7 @@ from tests.support.campaigns import drawn_after
 from wafer_viewer.model.acquisition.plan import PulseTrain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", drawn_after(1, [1, 2, 3]))
 def test_random_bytes_lines_edges_and_times_break_nothing(seed, built):
     fuzz = built("fuzz") / "fuzz"

@@ -20,6 +20,7 @@ def box(world):
     return box
 
 
+@pytest.mark.slow
 @of_the_board
 def test_an_awaited_mark_sets_the_count_at_its_position(world, box):
     box.reference_by_index("z", 70_000)
@@ -45,6 +46,7 @@ def test_until_the_mark_comes_nothing_changes_but_arming_is_refused(world, box):
     assert [p.count for p in box.pulses()] == [71_100, 71_200, 71_300]
 
 
+@pytest.mark.slow
 @mostly_of_the_core
 def test_a_mark_that_is_not_awaited_changes_nothing(world, box):
     world.move(6_000)
@@ -56,6 +58,7 @@ def test_a_mark_that_is_not_awaited_changes_nothing(world, box):
     assert (box.count("z"), box.latched("z")) == (6_300, None), "set otherwise meanwhile"
 
 
+@pytest.mark.slow
 @mostly_of_the_core
 def test_only_the_first_mark_counts_and_each_axis_has_its_own(world, box):
     world.put_mark(200, axis="x")
@@ -72,6 +75,7 @@ def test_only_the_first_mark_counts_and_each_axis_has_its_own(world, box):
     assert box.latched("x") is None
 
 
+@pytest.mark.slow
 @mostly_of_the_core
 def test_a_mark_met_downward_sets_the_same_count(world, box):
     world.move(6_000)

@@ -139,6 +139,7 @@ def image():
     return module
 
 
+@pytest.mark.slow
 def test_the_image_is_a_uf2_whose_second_stage_the_boot_rom_accepts(built, image):
     blocks = list(struct.iter_unpack("<8I476sI", (built("rp2040") / "pulse_box_rp2040.uf2").read_bytes()))
     assert {block[:3] + block[7:8] + block[9:] for block in blocks} == {

@@ -72,6 +72,7 @@ def listening(wire: Wire) -> Generator[int]:
     thread.join(5)
 
 
+@pytest.mark.campaign
 def test_the_makers_package_drives_the_simulated_zaber():
     ascii_protocol = pytest.importorskip("zaber_motion.ascii")
     errors = pytest.importorskip("zaber_motion")

@@ -107,6 +107,7 @@ def test_what_has_arrived_and_only_settles_is_not_broken_off(rig):
     assert rig.stage.position().z_um == pytest.approx(20.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_what_arrives_while_it_is_asked_for_a_stop_is_not_broken_off(rig):
     def should_stop():
         if rig.stage.position().z_um == 0.0:

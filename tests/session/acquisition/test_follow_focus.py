@@ -49,6 +49,7 @@ def run(scan, rig, told=None, steering=None):
         return run_scan_job(scan, rig, writer, (told if told is not None else []).append, steering or Steering())
 
 
+@pytest.mark.slow
 def test_a_field_whose_focus_touches_an_end_is_taken_again_wider(bumped, tmp_path):
     rig, plan, unseen = bumped
     told, scan = [], Scan(tmp_path / "scan.wafer", plan, JOB)
@@ -93,7 +94,7 @@ def test_a_scan_that_is_stopped_while_fields_are_taken_again_goes_on(bumped, tmp
     assert Dataset.open(scan.path).check().ok
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_crash_between_the_journal_and_the_new_file_is_mended(bumped, tmp_path):
     rig, plan, unseen = bumped
     scan = Scan(tmp_path / "scan.wafer", plan, JOB)
@@ -111,7 +112,7 @@ def test_a_crash_between_the_journal_and_the_new_file_is_mended(bumped, tmp_path
     assert Dataset.open(scan.path).check().ok
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_files_of_fields_with_their_own_windows_are_compressed_and_open_elsewhere(bumped, tmp_path):
     rig, plan, unseen = bumped
     scan = Scan(tmp_path / "scan.wafer", plan, JOB)
@@ -128,7 +129,7 @@ def test_files_of_fields_with_their_own_windows_are_compressed_and_open_elsewher
             assert (file.series[0].kind, file.series[0].shape) == ("ome", stack.shape)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_focus_beyond_the_whole_sweep_is_reported(tmp_path):
     rig = focused_rig(lambda x, y: 0.1 * x)
     told = []

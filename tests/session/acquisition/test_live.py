@@ -85,6 +85,7 @@ def jog(hold=1, x=0.0, z=0.0, highest_um=None):
     return Jog(hold, JogVelocity(x, 0.0, z), highest_um)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", [True, False], ids=["real time", "simulated time"], indirect=True)
 def test_a_jog_ends_by_itself_when_no_word_follows(talk, rig):
     begun_s = time.monotonic()
@@ -96,6 +97,7 @@ def test_a_jog_ends_by_itself_when_no_word_follows(talk, rig):
     assert 100.0 < rig.stage.position().x_um <= 500.0 * (WORD_S + WITHIN_S)
 
 
+@pytest.mark.slow
 def test_words_keep_a_jog_going_and_its_release_ends_it_at_once(talk, rig):
     first = talk.say(jog(x=500.0))
     for _ in range(6):
@@ -121,6 +123,7 @@ def test_a_lost_connection_ends_a_jog(rig):
     assert rig.stage.position().x_um < 500.0 * WORD_S
 
 
+@pytest.mark.slow
 def test_a_stop_ends_a_jog_until_the_key_is_pressed_again(talk, rig):
     first = talk.say(jog(hold=1, x=500.0))
     time.sleep(0.1)
@@ -135,6 +138,7 @@ def test_a_stop_ends_a_jog_until_the_key_is_pressed_again(talk, rig):
     assert rig.stage.position().x_um > stood_um + 100.0
 
 
+@pytest.mark.campaign
 def test_a_jog_stops_clear_of_the_highest_known_point_and_at_the_end_of_the_range(talk, rig):
     objective = rig.limits.objective
     free_um = objective.working_distance_um - objective.clearance_um
@@ -152,6 +156,7 @@ def test_a_drive_too_near_to_the_sample_is_refused_before_anything_moves(talk, r
     assert rig.stage.position().x_um == 0.0
 
 
+@pytest.mark.campaign
 def test_a_far_drive_goes_over_the_safe_z_and_a_near_one_straight(talk, rig, monkeypatch):
     goals, move_to = [], rig.stage.move_to
 
@@ -166,6 +171,7 @@ def test_a_far_drive_goes_over_the_safe_z_and_a_near_one_straight(talk, rig, mon
     assert goals == [{"x_um": 40.0, "y_um": 10.0}, {"z_um": safe_um}, {"x_um": 2_000.0}, {"z_um": 0.0}]
 
 
+@pytest.mark.slow
 def test_live_frames_come_while_they_are_taken_and_end_when_nobody_watches(talk, rig, monkeypatch):
     talk.say(WatchLive(100.0))
     talk.await_frames(1)
@@ -187,6 +193,7 @@ def test_live_frames_come_while_they_are_taken_and_end_when_nobody_watches(talk,
     assert not rig.camera.trigger(rig.clock.now_s()), "the camera does not wait for triggers"
 
 
+@pytest.mark.slow
 def test_live_frames_go_on_during_a_jog_with_their_positions(talk, rig):
     talk.say(WatchLive(100.0))
     talk.await_frames(1)
@@ -203,6 +210,7 @@ def test_live_frames_go_on_during_a_jog_with_their_positions(talk, rig):
     assert heights_um[-1] > 5.0
 
 
+@pytest.mark.slow
 def test_positions_are_told_during_a_jog_that_nobody_takes_frames_of(talk, rig):
     first = talk.say(jog(z=20.0))
     for _ in range(8):

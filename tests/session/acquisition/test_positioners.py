@@ -32,6 +32,7 @@ def rig():
     made.close()
 
 
+@pytest.mark.slow
 def test_a_command_moves_a_positioner_and_reports_where_all_of_them_are(talk, rig):  # noqa: F811
     reply = talk.answer(talk.say(MovePositioner("lamp", 40.0)))
     assert reply.error is None
@@ -75,7 +76,7 @@ def test_a_session_turns_the_nosepiece_and_plans_again_for_the_new_field(tmp_pat
         session.close()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_scan_records_the_positions_and_does_not_go_on_with_another_objective(tmp_path):
     rig = open_rig(read_config(NOSEPIECE))
     try:

@@ -27,6 +27,7 @@ def harm(path, *shots):
         file.write_bytes(content)
 
 
+@pytest.mark.campaign(together=True)
 def test_damaged_frames_are_named_and_taken_again(session, job, surfaced, patience_s):
     session.edit_job(job()).result()
     path = session.start_scan("harmed").result(patience_s)
@@ -61,6 +62,7 @@ def test_damaged_frames_are_named_and_taken_again(session, job, surfaced, patien
     assert (last.action, last.by) == ("Scan continued", account())
 
 
+@pytest.mark.campaign(together=True)
 def test_a_field_without_heights_has_its_frames_checked(session, surfaced, patience_s):
     path = session.snapshot.dataset.path
     session.close_dataset().result()

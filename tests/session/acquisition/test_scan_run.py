@@ -89,6 +89,7 @@ def test_a_full_disk_ends_it_with_a_sentence_and_what_is_kept_is_good(rig, scan,
     assert Dataset.open(scan.path).check().ok
 
 
+@pytest.mark.slow
 def test_the_same_command_scans_after_it_was_killed_while_it_made_the_folder(rig, scan):
     writer_of(scan, rig).close()
     record = scan.path / "scan.json"

@@ -110,7 +110,7 @@ def test_a_stopped_calibration_leaves_the_rig_at_rest_and_no_record(hidden_rig, 
     assert not (tmp_path / CALIBRATIONS).exists()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("kind", ["noise", "flatness"])
 def test_heights_of_a_flat_give_noise_and_flatness_with_u(kind, hidden_rig, tmp_path):
     rig = hidden_rig(shape=WIDE)

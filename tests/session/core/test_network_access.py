@@ -144,7 +144,7 @@ def test_the_same_letters_of_another_keyboard_are_the_same_password() -> None:
     assert PasswordHash.of("Pr\u00fcfger\u00e4t-Halle7").matches("Pru\u0308fgera\u0308t-Halle7")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_wrong_password_costs_as_much_as_the_right_one() -> None:
     hashed = PasswordHash.of(GOOD)
 

@@ -83,6 +83,7 @@ def test_a_link_is_never_followed_neither_to_read_nor_to_renew(tmp_path: Path) -
     assert elsewhere.read_text() == placed
 
 
+@pytest.mark.slow
 @posix
 def test_a_file_with_a_second_name_or_of_another_user_is_refused(tmp_path: Path, monkeypatch) -> None:
     page_token(tmp_path)

@@ -127,7 +127,7 @@ def test_a_plan_names_a_compression_that_the_store_has():
         replace(job, compression="zip")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_scan_of_the_session_ends_with_compressed_frames(session, job, surfaced):
     session.edit_job(replace(job(cols=1, n_frames=12), compression="zstd")).result(PATIENCE_S)
     path = session.start_scan("pressed").result(PATIENCE_S)

@@ -151,6 +151,7 @@ def test_the_z_scale_is_offered_after_signing_and_set_by_a_person(bench, scans):
         bench.gauge.add_repeat(UPPER, LOWER, show=1).result()
 
 
+@pytest.mark.slow
 def test_what_is_no_repeat_is_refused_and_does_not_count(bench, scans, tmp_path):
     with pytest.raises(MeasureError, match="no certificate"):
         bench.gauge.add_repeat(UPPER, LOWER, show=1).result()

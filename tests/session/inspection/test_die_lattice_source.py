@@ -34,6 +34,7 @@ def surface():
     return made(WAFER)
 
 
+@pytest.mark.slow
 def test_the_scans_own_job_is_overlaid_on_what_is_seen(surface):
     dies = GivenDies().on(surface, OWN)
     assert dies.off is not None
@@ -47,6 +48,7 @@ def test_the_operators_input_overrides_the_job(surface):
     assert dies.grid.angle_rad == pytest.approx(math.radians(1.0))
 
 
+@pytest.mark.slow
 def test_a_wafer_that_was_not_aligned_has_its_dies_found(surface):
     assert GivenDies().on(surface, JOB).grid.by == "found"
 
@@ -56,6 +58,7 @@ def test_no_lattice_is_taken_from_a_job_that_says_none(job):
     assert dies_of_job(job) is None
 
 
+@pytest.mark.slow
 def test_a_jobs_file_lies_as_the_scan_was_aligned(surface, tmp_path):
     path = tmp_path / "lx7.toml"
     path.write_text(encode(JOB))

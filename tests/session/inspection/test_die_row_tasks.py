@@ -65,7 +65,7 @@ class Elsewhere:
             yield Done(index, task(*items[index]))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_number_of_workers_makes_no_difference(made, alone):
     assert len(alone.found) == len(PLANTED)
     for crew in (LocalRunner(1), LocalRunner(3), Elsewhere()):
@@ -109,7 +109,7 @@ def test_the_first_fault_of_a_row_ends_the_inspection():
     assert list(in_order([Done(1, "b"), Done(2, "c"), Done(0, "a")])) == ["a", "b", "c"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_stopped_inspection_says_so_and_leaves_nothing(made):
     reported: list[float] = []
     for crew in (None, Elsewhere()):
@@ -144,7 +144,7 @@ def test_workers_find_the_same_and_one_may_die(made, alone):
     assert msgspec.to_builtins(found) == msgspec.to_builtins(alone)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_command_lines_workers_find_the_same(made):
     path, wafer = made
     grid = wafer.grid

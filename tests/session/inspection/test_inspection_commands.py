@@ -94,6 +94,7 @@ def bench(pair, result):
     made.close()
 
 
+@pytest.mark.slow
 def test_what_was_found_is_read_again_with_its_dataset_and_belongs_to_it(bench, pair):
     assert bench.state.defects == FOUND.defects
     assert not bench.state.stale

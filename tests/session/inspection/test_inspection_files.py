@@ -100,6 +100,7 @@ def bench(inspected):
     made.close()
 
 
+@pytest.mark.slow
 def test_recipes_are_kept_renamed_and_deleted_and_that_saved_last_is_taken_by_itself(bench):
     keen = DefectRecipe(product="LX-7", name="keen", sensitivity=0.7)
     path = bench.do(bench.controller.save_recipe, keen)
@@ -181,6 +182,7 @@ def test_a_full_disk_is_reported_and_nothing_is_left_there(bench, tmp_path, monk
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_was_not_inspected_is_not_handed_over(tmp_path):
     path = two_datasets(tmp_path)[1]
     with pytest.raises(DatasetError, match="after was not inspected for defects yet: inspect it first"):

@@ -141,6 +141,7 @@ def test_a_defect_is_compared_with_other_dies_and_the_last_scan(folder: Path):
     assert (x1 - x0) / (y1 - y0) == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_defect_stands_alone_in_the_difference_and_in_the_section(folder: Path):
     answer = views(folder).beside(1).result(20)
     here, dies, before = answer.views

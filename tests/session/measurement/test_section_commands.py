@@ -74,6 +74,7 @@ def other(folder, name, result=RESULT):
     return OtherSurface(str(folder / f"{name}.wafer"), result)
 
 
+@pytest.mark.slow
 def test_the_same_line_on_raw_and_cleaned_heights(sections):
     requested = SectionRequest(1, LINE)
     raw, cleaned = (sections.section(dataclasses.replace(requested, cleaned=which)) for which in (False, True))

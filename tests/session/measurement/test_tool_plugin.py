@@ -101,6 +101,7 @@ def test_its_command_measures_and_explains_its_flags(package, surface):
     assert "counts as zero" in reported
 
 
+@pytest.mark.slow
 def test_without_its_package_there_is_no_such_tool(package, surface):
     done = run_with(package.parent, "-m", "wafer_viewer", "measure", "median-height", str(surface), check=False)
     assert done.returncode == 2

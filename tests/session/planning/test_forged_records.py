@@ -69,6 +69,7 @@ def limits(verdict):
     verdict["items"][0]["feature"]["upper_limit"] = 99.0
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -13,7 +13,7 @@ from wafer_viewer.model.inspection.defect import Defect, DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.rigs.virtual.scenes.tour_wafer import DEPTH_UM, DROP_HEIGHT_UM, Planted, planted, scratch_middle
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign(together=True)
 NEAR_UM = 6.0
 
 

@@ -102,7 +102,7 @@ def test_what_cannot_be_released_cannot_be_tried(trials, tmp_path):
     assert not trials.command_queue.now.operating.trying
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_true_session_tries_a_plan_in_its_compute_process(tmp_path):
     for name, height_um in (("w1", 30.0), ("w2", 30.9)):
         judged_dataset(tmp_path / f"{name}.wafer", height_um, replace(released_job(), product="wafer"), wafer=name)

@@ -76,6 +76,7 @@ def test_a_surface_is_judged_when_it_is_whole_and_once(command_queue, verdicts):
     assert verdicts.n == 1, "other work on the same surface asks for no other verdict"
 
 
+@pytest.mark.slow
 def test_another_surface_is_judged_anew_and_none_without_a_dataset(command_queue, verdicts):
     verdicts.answers = [day.PASS, day.FAIL]
     change(command_queue, works=())

@@ -50,6 +50,7 @@ def requested(number: int, k: int = 0) -> RenderRequest:
     return RenderRequest(SOURCE, "tile", rows=(0, number), k=k)
 
 
+@pytest.mark.slow
 def test_pictures_are_made_in_another_process_and_kept(painter: Painter) -> None:
     first = painter.paint(requested(1)).result(30)
     assert int(first) != os.getpid()

@@ -47,6 +47,7 @@ def rows(text):
     return [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in table.split("</tr>")[:-1]]
 
 
+@pytest.mark.slow
 def test_what_was_done_to_the_dataset_and_its_job_stands_in_a_table(folder):
     released, held = rows(reported(folder))
     assert (released[1], released[2]) == ("Ann", "command line")
@@ -57,6 +58,7 @@ def test_what_was_done_to_the_dataset_and_its_job_stands_in_a_table(folder):
     assert contents(folder / "one.wafer", "default")["audit"].words == "2 entries on this dataset and its job"
 
 
+@pytest.mark.slow
 def test_entries_on_another_dataset_leave_the_report_as_it_is(folder):
     before = reported(folder)
     assert main(["unhold", str(folder / "other.wafer"), "--reason", "settled"]) == 0
@@ -65,12 +67,14 @@ def test_entries_on_another_dataset_leave_the_report_as_it_is(folder):
     assert rows(reported(folder))[-1][3:] == ["Hold ended", "why: settled"]
 
 
+@pytest.mark.slow
 def test_a_release_of_another_job_under_the_same_name_is_not_that_of_the_dataset(folder):
     path = folder / "jobs" / "coupon-A.toml"
     path.write_text(path.read_text() + "\n")
     assert [row[3] for row in rows(reported(folder))] == ["Frames held"]
 
 
+@pytest.mark.slow
 def test_nothing_of_a_log_that_was_altered_is_printed_but_that_it_was(folder):
     log = folder / AUDIT_LOG
     log.write_bytes(log.read_bytes().replace(b"complaint about W1", b"nothing to be seen"))

@@ -71,6 +71,7 @@ def section(report, title):
     return next(section for section in report.sections if section.title == title)
 
 
+@pytest.mark.slow
 def test_every_result_has_a_sheet_with_all_its_numbers_and_its_budget(report):
     sheets = section(report, "Results").sheets
     assert [sheet.title for sheet in sheets] == [f"{tool} {n}" for n, (tool, _) in enumerate(KINDS, 1)]
@@ -131,6 +132,7 @@ def test_places_of_features_and_results_are_numbered_on_the_map(report):
     assert "x, y in µm" in figure.svg
 
 
+@pytest.mark.campaign
 def test_places_that_are_not_on_the_map_are_named_in_both_languages(dataset, monkeypatch):
     monkeypatch.setattr(report_data, "MOST_MARKS", 3)
     english, german = (report_of(dataset, RESULT, ReportOrder(language=language)) for language in ("en", "de"))
@@ -173,6 +175,7 @@ def test_a_line_crosses_the_places_of_a_result():
     assert start.x_um < 3 < stop.x_um
 
 
+@pytest.mark.slow
 def test_data_is_identified_by_checksums_that_change_with_it(report, dataset, tmp_path, capsys):
     rows = {row[0]: row[2] for row in section(report, PART_TITLES["checksums"]).table.rows}
     assert list(rows) == ["Frames", "Surface", "Results", "Verdict"]

@@ -40,6 +40,7 @@ def report(dataset):
     return report_of(dataset, RESULT, GERMAN)
 
 
+@pytest.mark.slow
 def test_no_text_of_a_report_of_everything_is_left_in_english(report):
     translation = Translation("de", report.names)
     translation.of(report)
@@ -95,6 +96,7 @@ def test_every_note_on_sites_has_a_translation():
     assert sorted(translation.unknown) == []
 
 
+@pytest.mark.slow
 def test_a_name_that_is_a_word_of_the_report_stays_as_it_is(dataset):
     result = Dataset.open(dataset).result(RESULT)
     before = result.findings()
@@ -116,6 +118,7 @@ def test_numbers_have_a_decimal_comma_and_versions_dates_and_checksums_do_not(re
     assert re.search(r"<text[^>]*>\d+,\d+</text>", text), "axes of charts as well"
 
 
+@pytest.mark.slow
 def test_values_are_the_same_in_both_languages(dataset, report):
     english, german = report_html(report_of(dataset, RESULT, ReportOrder())), report_html(report)
     values = [re.findall(r"<b>([^<]*\d±?[^<]*)</b>", text) for text in (english, german)]
@@ -124,6 +127,7 @@ def test_values_are_the_same_in_both_languages(dataset, report):
     ]
 
 
+@pytest.mark.slow
 def test_the_laboratory_sets_the_language_and_the_command_line_another(dataset, tmp_path):
     laboratory = dataset.parent / "laboratory.toml"
     laboratory.write_text('name = "Labor"\nlanguage = "de"\nzone = "Europe/Berlin"\n')

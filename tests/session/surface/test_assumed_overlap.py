@@ -58,6 +58,7 @@ def off_px(poses, grid):
     return np.abs(off - off.mean(axis=0)).max() / PIXEL_UM
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(("overlap", "assumed"), [(0.12, 0.1), (0.15, 0.3), (0.4, 0.1)])
 def test_images_tell_the_overlap_of_an_import(tmp_path, overlap, assumed):
     path, grid = imported(tmp_path / "a.wafer", overlap, assumed)
@@ -90,6 +91,7 @@ def covered_px(grid):
     return (rows + 2 * rows * (1 - overlap)) * (cols + 3 * cols * (1 - overlap))
 
 
+@pytest.mark.slow
 def test_fields_stay_where_they_were_found(tmp_path):
     path, _ = imported(tmp_path / "a.wafer", 0.2, 0.1)
     stored = Dataset.open(path).result(RESULT)
@@ -127,6 +129,7 @@ def test_pixel_size_is_not_blamed_in_memory(tmp_path):
     assert off_px(poses, grid) < 0.1
 
 
+@pytest.mark.slow
 def test_overlap_is_not_guessed_from_a_pattern(tmp_path):
     dies = {"kind": "dies", "pitch_px": (30.0, 30.0), "angle": 0.0, "stage_px": 1.0}
     path, _ = imported(tmp_path / "a.wafer", 0.16, 0.1, **dies)

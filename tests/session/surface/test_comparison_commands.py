@@ -109,7 +109,7 @@ def test_nothing_is_kept_of_what_cannot_be_compared(pair, names):
     assert not (pair[0] / "results" / "difference-q").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path, patience_s):
     before, after = two_datasets(tmp_path / "data")
     session = Session(tmp_path / "data")

@@ -49,6 +49,7 @@ def places_um(scene, system):
     return {t.input.path: np.array(t.translation) for t in placed}
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(("channel", "layer"), [(0, "all_in_focus"), (1, "z_um")])
 def test_another_program_puts_the_fields_where_the_mosaic_has_them(dataset, scene, channel, layer):
     theirs = opened(scene)

@@ -68,6 +68,7 @@ def harmless(name: str) -> bool:
     return any(re.fullmatch(pattern, name) for pattern in HARMLESS)
 
 
+@pytest.mark.slow
 def test_the_whole_dataset_is_good(dataset):
     report = Dataset.open(dataset).check()
     assert report.ok, report
@@ -230,6 +231,7 @@ def without_checksum(content: bytes, name: str) -> bytes:
     return re.sub(rb',?\s*"crc32c": "[0-9a-f]{8}"', b"", content) if name.endswith(".json") else content
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize(
     "name", ["mosaic.zarr/z_um/0/c/0/0", "mosaic.zarr/zarr.json", "mosaic.zarr/facts/c/0/0/0", "poses.npz"]
 )

@@ -53,7 +53,7 @@ print(*sorted(name for name, _ in kernels() - warm))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_fields_off_their_places_need_no_kernel_that_was_not_warmed_up() -> None:
     done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -121,7 +121,7 @@ def test_part_in_another_process_is_left_to_it_and_waited_for(log, tmp_path, pat
     assert compiled(log) == ["a", "b"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_part_of_a_killed_process_is_compiled_by_the_one_that_waits(log, tmp_path, patience_s):
     part = KernelPart("a", partial(note_and_wait, log, "a", tmp_path / "end"))
     with alongside(partial(compile_parts, [part])) as first:
@@ -149,7 +149,7 @@ def test_missing_parts_are_compiled_by_two_processes_and_their_progress_is_repor
     assert all(progress.n_parts == 3 for progress in reported)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_part_that_takes_long_is_told_again(log, tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_build, "TELL_EVERY_S", 1)
     reported = []
@@ -198,7 +198,7 @@ print(*Compiled.names)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_compiled_parts_compile_nothing_again():
     done = subprocess.run([sys.executable, "-c", MISSED], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -65,7 +65,7 @@ def test_the_number_of_workers_makes_no_difference(dataset, made, tmp_path):
     _assert_same(alone, stored.mosaic().window())
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_fields_that_come_are_placed_beside_the_others_and_solved_for_together_at_the_end(dataset, made, tmp_path):
     for place in range(len(made.fields)):
         stored = add_surfaces(dataset, made, [place])
@@ -161,6 +161,7 @@ def test_what_was_broken_off_is_made_anew(dataset, made):
     _assert_same(complete, stored.mosaic().window())
 
 
+@pytest.mark.slow
 def test_a_stopped_job_leaves_the_mosaic_that_there_was(dataset, made):
     stored = add_surfaces(dataset, made, range(4))
     bring_up_to_date(dataset, RESULT, REGISTERED)

@@ -267,6 +267,7 @@ def replace_in(path, *pairs):
     path.write_text(sealed_text(text))
 
 
+@pytest.mark.slow
 def test_a_verdict_whose_value_and_word_were_changed_together_is_refused(dataset):
     data = Dataset.open(dataset)
     verdict = stored_verdict(data, data.result())
@@ -317,6 +318,7 @@ def test_a_manifest_that_was_removed_is_missed_and_one_of_an_older_version_is_no
     assert is_found(dataset), "from the first save on all records are covered"
 
 
+@pytest.mark.slow
 def test_a_result_that_was_removed_is_made_again(dataset):
     recipe = Dataset.open(dataset).result().recipe()
     shutil.rmtree(dataset / "results" / "default")

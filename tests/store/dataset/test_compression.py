@@ -140,6 +140,7 @@ def test_older_programs_say_why_they_cannot_open_it(data, monkeypatch):
         Dataset.open(data.path)
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("codec", ["zstd", "none"])
 @pytest.mark.parametrize("stop_at", [0, 1, 3, 6])
 def test_a_stopped_compression_leaves_every_frame_and_continues(codec, stop_at, data, original):

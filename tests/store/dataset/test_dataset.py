@@ -364,7 +364,7 @@ def test_a_large_record_is_read_once_until_it_changes(tmp_path, monkeypatch):
         Dataset.open(path)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_journal_of_very_many_passes_opens_in_time_proportional_to_it(tmp_path):
     path = bench_index.make(tmp_path / "many.wafer", 20_000, 3)
     began = time.process_time()

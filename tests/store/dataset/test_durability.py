@@ -76,6 +76,7 @@ def test_a_damaged_line_of_a_pass_that_ended_is_damage(broken_off, number):
         Dataset.open(broken_off)
 
 
+@pytest.mark.slow
 def test_a_changed_window_survives_a_power_cut(tmp_path):
     job = make_job(cols=1)
     plan = make_plan(job)

@@ -94,7 +94,7 @@ def test_a_name_is_free_again_after_its_maker_was_killed(half_made):
     assert len(Dataset.open(path).fields) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_name_is_free_at_once_after_its_maker_was_killed(half_made):
     path, maker = half_made
     maker.send_signal(signal.SIGKILL)

@@ -58,6 +58,7 @@ def ome_of(path):
     return ome_types.from_xml(tifffile.tiffcomment(path), validate=True)
 
 
+@pytest.mark.slow
 def test_the_header_fits_the_schema_and_tells_where_and_when_each_frame_was_taken(tmp_path, plan):
     scanned(tmp_path, plan, [s for s in all_shots(plan) if s not in MISSING], calibration=CALIBRATION, bits=8)
     ome = ome_of(tmp_path / FIRST)

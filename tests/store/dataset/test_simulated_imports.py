@@ -140,6 +140,7 @@ def test_every_format_is_walked():
     assert len(read - READ_OTHERWISE) == len(written) - 1, "OME-Zarr is written in two versions"
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("simulated", [True, False])
 @pytest.mark.parametrize("name", sorted(WRITERS.keys() - WITHOUT_TEXT))
 def test_mark_survives_every_format_and_option(tmp_path, name, simulated, capsys):

@@ -28,6 +28,7 @@ PICTURE = StagePicture(
 )
 
 
+@pytest.mark.slow
 def test_other_programs_read_pixels_place_exposure_and_time(tmp_path):
     import ome_types
 

@@ -191,6 +191,7 @@ def test_one_sentence_names_the_file_the_thing_and_the_mend(tmp_path, name):
     assert str(fault.value).endswith(".")
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("ending", [e for e in READ if e in WRITTEN and e != ".tiff"])
 def test_whatever_is_damaged_ends_in_one_sentence(tmp_path, ending):
     """Cut off, or a few bytes changed, anywhere: a sentence, or a surface where nothing that counts was hit."""

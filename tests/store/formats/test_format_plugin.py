@@ -67,7 +67,7 @@ def test_the_python_api_the_page_and_the_errors_know_it(installed):
     assert set(found["listed"]) == {"dataset", "images", "surface"}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_command_line_exports_and_imports_it(installed):
     def run(*words):
         return run_with(installed, "-m", "wafer_viewer", *(str(word) for word in words))

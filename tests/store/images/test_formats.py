@@ -32,6 +32,7 @@ def images(name):
     return np.random.default_rng(3).integers(0, 200, (N, ROWS, COLS)).astype(dtype) * dtype(1 if name in BYTES else 250)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
 def test_stack_is_read_as_it_was_written(tmp_path, name):
     given = {"z_step_um": STEP_UM} if name in {*SILENT, "video"} else {}
@@ -51,6 +52,7 @@ def test_documentation_names_every_format():
     assert [suffix for suffix in READ if not re.search(rf"{re.escape(suffix)}\b", table)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["czi", "zarr_05", "video", "ndtiff"])
 def test_commands_take_every_kind_of_source(tmp_path, name, capsys):
     path = WRITERS[name](tmp_path, images(name), "")

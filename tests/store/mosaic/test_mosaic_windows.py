@@ -47,7 +47,7 @@ WINDOWS = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("windows", WINDOWS)
 def test_windows_made_again_are_as_if_all_had_been_made_again(stored, tmp_path, surface, windows):
     copy = ZarrMosaic.open(shutil.copytree(stored.path, tmp_path / "m.zarr"))
@@ -62,7 +62,7 @@ def test_windows_made_again_are_as_if_all_had_been_made_again(stored, tmp_path, 
         np.testing.assert_array_equal(getattr(copy.facts(), name), getattr(anew.facts(), name), err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("windows", WINDOWS)
 def test_levels_are_means_of_measured_pixels_after_windows_were_made_again(tmp_path, surface, windows):
     gappy, other = with_gaps(surface, 1), with_gaps(surface, 2)
@@ -91,6 +91,7 @@ def changed_within(surface, windows):
     return dataclasses.replace(surface, z_um=z, origin=origin)
 
 
+@pytest.mark.slow
 def test_pixels_outside_a_window_are_neither_read_nor_written(stored, tmp_path, surface):
     path = shutil.copytree(stored.path, tmp_path / "m.zarr")
     before = {file: file.stat().st_mtime_ns for file in path.rglob("*") if file.is_file()}
@@ -126,6 +127,7 @@ def test_a_window_on_another_lattice_is_refused(stored, tmp_path, surface):
 # ---------------------------------------------------------------------------------------------- damage
 
 
+@pytest.mark.campaign(at_least_one=True)
 @pytest.mark.parametrize("harm", ["index", "chunk", "short", "empty"])
 def test_a_damaged_shard_is_named(stored, tmp_path, surface, harm):
     path = shutil.copytree(stored.path, tmp_path / "m.zarr")
@@ -151,7 +153,7 @@ def test_damaged_facts_are_named(stored, tmp_path):
         ZarrMosaic.open(path).facts()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_readers_never_see_half_a_shard(stored, tmp_path, surface):
     """One writes two states in turn; whatever is read of a shard is one of them as a whole."""
     path = shutil.copytree(stored.path, tmp_path / "m.zarr")

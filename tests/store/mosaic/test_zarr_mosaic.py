@@ -29,6 +29,7 @@ SIZES = zarr_shards.CHUNK, zarr_shards.SHARD
 pytestmark = pytest.mark.usefixtures("small_shards")
 
 
+@pytest.mark.slow
 def test_what_was_written_is_what_is_read(stored, surface):
     assert_same_surface(stored.window(), surface)
     assert (stored.shape, stored.pixel_um, stored.x0_um, stored.y0_um) == ((150, 201), 0.5, -30.0, 80.0)
@@ -87,6 +88,7 @@ def test_a_pixel_of_a_level_is_the_mean_of_what_it_stands_for(stored, surface, l
     assert coarse.y_um[0] == pytest.approx(surface.y_um[:n].mean())
 
 
+@pytest.mark.slow
 def test_every_level_is_the_mean_of_the_measured_pixels_of_level_0(tmp_path, surface):
     gappy = with_gaps(surface)
     stored = write_mosaic(tmp_path / "m.zarr", gappy)
@@ -95,6 +97,7 @@ def test_every_level_is_the_mean_of_the_measured_pixels_of_level_0(tmp_path, sur
     assert list(missing_files(stored)) == []
 
 
+@pytest.mark.slow
 def test_a_level_knows_how_many_pixels_its_means_are_of(tmp_path, surface):
     gappy = with_gaps(surface)
     stored = write_mosaic(tmp_path / "m.zarr", gappy)
@@ -166,6 +169,7 @@ def test_the_real_sizes_are_those_of_the_format():
     assert SIZES == (256, 2048)
 
 
+@pytest.mark.slow
 def test_patches_can_be_written_in_any_order_within_a_level(tmp_path, surface, stored):
     path = tmp_path / "n.zarr"
     lay_out(path, surface)
@@ -263,6 +267,7 @@ def all_of(stored, level):
     return tuple(slice(0, n) for n in stored.header.shape_of(level))
 
 
+@pytest.mark.slow
 def test_each_layer_is_an_image_of_the_format(stored):
     models = pytest.importorskip("ome_zarr_models.v05")
     root = zarr.open_group(stored.path, mode="r")
@@ -302,6 +307,7 @@ def test_another_reader_sees_every_level_where_it_lies_on_the_stage(stored, surf
         np.testing.assert_array_equal(np.asarray(image.data), getattr(ours, layer or "z_um"))
 
 
+@pytest.mark.slow
 def test_two_mosaics_lie_beside_each_other_as_on_the_stage(stored, tmp_path, surface):
     ngff_zarr = pytest.importorskip("ngff_zarr")
     right_um, up_um = 300.0, 40.0

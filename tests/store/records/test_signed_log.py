@@ -126,6 +126,7 @@ TAMPERINGS = (
 )
 
 
+@pytest.mark.slow
 def test_every_tampering_with_records_is_found(folder):
     rng, foreign, originals = random.Random(1), Ed25519PrivateKey.generate(), lines_of(folder)
     head = folder / KEPT_IN / "log.jsonl.head"
@@ -254,6 +255,7 @@ def _append_some(path, first):
         append_record(path, entry(n))
 
 
+@pytest.mark.slow
 def test_programs_that_sign_at_once_wait_for_each_other(tmp_path):
     path = tmp_path / "log.jsonl"
     append_record(path, entry(0))

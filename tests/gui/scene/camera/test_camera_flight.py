@@ -131,6 +131,7 @@ def until_landed(camera: Camera) -> None:
     until(lambda: camera.pilot.goal is None)
 
 
+@pytest.mark.slow
 def test_a_pilot_brings_the_camera_to_the_goal_exactly(camera: Camera) -> None:
     assert camera.pilot.fly(TOP, NEAR)
     assert camera.pilot.goal is NEAR
@@ -139,6 +140,7 @@ def test_a_pilot_brings_the_camera_to_the_goal_exactly(camera: Camera) -> None:
     assert len(camera.puts) > 2
 
 
+@pytest.mark.slow
 def test_another_flight_takes_the_place_of_the_first(camera: Camera) -> None:
     begun = threading.Event()
     camera.tells = lambda pose: begun.set()
@@ -151,6 +153,7 @@ def test_another_flight_takes_the_place_of_the_first(camera: Camera) -> None:
     assert NEAR not in camera.puts
 
 
+@pytest.mark.slow
 def test_a_hand_at_the_camera_ends_the_flight_where_it_is(camera: Camera) -> None:
     def tells(pose: CameraPose) -> None:
         camera.pilot.heard(pose.position)
@@ -167,6 +170,7 @@ def test_a_hand_at_the_camera_ends_the_flight_where_it_is(camera: Camera) -> Non
     assert NEAR not in camera.puts
 
 
+@pytest.mark.slow
 def test_a_camera_that_does_not_stand_where_it_was_put_is_put_there_again(camera: Camera) -> None:
     def elsewhere(pose: CameraPose) -> None:
         camera.pilot.heard(pose.position)

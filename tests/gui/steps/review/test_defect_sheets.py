@@ -80,6 +80,7 @@ def test_place_reference_difference_and_their_bars_fit_the_scene(room: SheetRoom
     assert sizes.large_px == 2 * sizes.small_px + panes.GAP_PX
 
 
+@pytest.mark.slow
 def test_the_pictures_stand_at_one_scale_with_outline_section_and_length():
     text, height = panes.panes_sheet(here_of(answer(HERE, DIES)), LARGE)
     assert height <= LARGE.height_px
@@ -92,6 +93,7 @@ def test_the_pictures_stand_at_one_scale_with_outline_section_and_length():
         assert words in text
 
 
+@pytest.mark.campaign
 def test_another_look_shows_greys_and_another_reference_the_last_scan():
     by_grey, _ = panes.panes_sheet(here_of(answer(HERE, DIES), pane="picture"), LARGE)
     assert by_grey.count("data:image/jpeg;base64,cA==") == 2
@@ -105,6 +107,7 @@ def test_another_look_shows_greys_and_another_reference_the_last_scan():
     assert not panes.shows_grey(View(pane="height"), replace(DEFECT, evidence="picture"))
 
 
+@pytest.mark.campaign
 def test_words_stand_where_there_is_nothing_to_compare_with():
     why = "No earlier scan of wafer <W> with a surface lies in the data folder."
     text, _ = panes.panes_sheet(here_of(answer(HERE, ComparisonView("before", why_not=why))), SMALL)
@@ -114,6 +117,7 @@ def test_words_stand_where_there_is_nothing_to_compare_with():
     assert "This place was not scanned." in text
 
 
+@pytest.mark.slow
 def test_the_section_is_levelled_to_the_reference_and_fills_the_plot():
     (dock,) = panes.section_dock(here_of(answer(HERE, DIES)))
     text = str(dock.content)
@@ -125,6 +129,7 @@ def test_the_section_is_levelled_to_the_reference_and_fills_the_plot():
     assert "<rect" in text
 
 
+@pytest.mark.slow
 def test_a_click_selects_one_more_or_all_up_to_there_and_a_page_holds_the_one_under_review():
     here = here_of(answer(HERE))
     items, view = defects_on_show(here.snapshot, here.view), here.view
@@ -145,6 +150,7 @@ def test_a_click_selects_one_more_or_all_up_to_there_and_a_page_holds_the_one_un
     assert [item.key for item in page_of(items, keys[5], 4)] == keys[4:8]
 
 
+@pytest.mark.campaign
 def test_a_gallery_asks_for_pictures_of_the_tiles_that_are_seen_alone():
     here, asked = here_of(answer(HERE)), []
     session = whole_wafer(33, 1000)
@@ -165,6 +171,7 @@ def test_a_gallery_asks_for_pictures_of_the_tiles_that_are_seen_alone():
     assert all(future.cancelled() for future in pending)
 
 
+@pytest.mark.slow
 def test_all_dies_are_drawn_on_one_with_rings_where_a_place_repeats(repeating):
     places = repeated_places(repeating)
     assert [len(place.dies) for place in places] == [17, 4, 3]

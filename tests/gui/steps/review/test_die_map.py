@@ -202,6 +202,7 @@ def test_what_is_not_listed_is_not_on_the_map():
     assert page.show().count("data-d=") == len(PLANTED)  # other dies are still to be seen and chosen
 
 
+@pytest.mark.slow
 def test_of_too_many_defects_each_die_has_the_colour_of_its_commonest_class():
     wafer = wafer_of(17, 640)
     assert len(wafer.defects) > MOST_SIGNS

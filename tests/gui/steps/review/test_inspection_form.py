@@ -201,6 +201,7 @@ def inputs(here: Here[InspectionDraft]) -> dict[str, Any]:
     return {one.label: one for one in flat(inspection_form(here)) if isinstance(one, Input | Button)}
 
 
+@pytest.mark.campaign
 def test_form_stands_there_until_the_surface_is_inspected_and_when_it_is_unfolded():
     assert "Inspect" in inputs(here_of())
     here = here_of()
@@ -214,6 +215,7 @@ def test_form_stands_there_until_the_surface_is_inspected_and_when_it_is_unfolde
     ]
 
 
+@pytest.mark.slow
 def test_form_is_filled_in_once_and_again_for_another_recipe():
     here = here_of()
     inputs(here)["Sensitivity"].put(0.9)
@@ -225,6 +227,7 @@ def test_form_is_filled_in_once_and_again_for_another_recipe():
     assert inputs(here)["Sensitivity"].value == 0.2
 
 
+@pytest.mark.slow
 def test_what_is_set_is_what_is_inspected():
     here = here_of()
     for label, value in (("Look at", "Picture"), ("Filters, px", "0, 3"), ("Compare", FORM), ("Sensitivity", 0.7)):
@@ -235,6 +238,7 @@ def test_what_is_set_is_what_is_inspected():
     assert (dies, against) == (None, "form")
 
 
+@pytest.mark.slow
 def test_a_rectangle_between_equal_corners_of_two_dies_gives_the_pitch_to_search_by():
     here, told = here_of(), []
     assert inputs(here)["Dies"].value != GIVEN
@@ -248,6 +252,7 @@ def test_a_rectangle_between_equal_corners_of_two_dies_gives_the_pitch_to_search
     assert here.page.asked[0][2] == ProductDies(pitch_x_um=300.25, pitch_y_um=200.0, width_um=280.0, height_um=180.0)
 
 
+@pytest.mark.slow
 def test_limits_are_sent_to_the_inspection_that_is_there_only():
     here = here_of()
     inputs(here)["Max. per die"].put("3")
@@ -259,6 +264,7 @@ def test_limits_are_sent_to_the_inspection_that_is_there_only():
     assert first.page.asked == []
 
 
+@pytest.mark.slow
 def test_given_dies_are_asked_for_and_what_makes_no_recipe_says_why():
     here = here_of()
     assert "Pitch, µm" not in inputs(here)
