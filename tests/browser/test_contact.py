@@ -96,6 +96,7 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     assert page.evaluate("window.stillTheSame === true")  # it was not reloaded, nor opened anew
 
 
+@pytest.mark.campaign
 def test_contact_that_comes_back_to_the_same_program_says_what_went_on(look_at: Callable[[str], Page]):
     session = fake.FakeSession(fake.scanning())
     first = start(session)

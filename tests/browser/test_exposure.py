@@ -32,6 +32,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened.close()
 
 
+@pytest.mark.campaign
 def test_the_exposure_is_found_and_its_bracket_taken(page: Page, session: Session):
     session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, READY_S)
     sweep = FocusSweep(z_step_um=3.0, n_frames=14)

@@ -101,6 +101,7 @@ def test_a_picture_at_print_size_has_that_size_and_says_simulated(page: Page, se
     assert len(colours) > 200  # a surface, no blank sheet
 
 
+@pytest.mark.campaign
 def test_results_are_reviewed_by_keyboard_alone(page: Page, session: StitchedSession):
     page.keyboard.press("Shift+R")
     title_is(page, re.compile("S1 · Die to trench"))

@@ -116,6 +116,7 @@ def test_images_are_imported_and_a_surface_exported_without_a_typed_path(page: P
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
+@pytest.mark.campaign
 def test_a_dataset_and_a_certificate_are_opened_by_the_keyboard_alone(page: Page, session: Session, data: Path):
     session.exchange.import_surface(data / "part.x3p").result(WORK_S)
     session.wait_until(lambda now: now.surface is not None, WORK_S)

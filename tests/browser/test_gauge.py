@@ -150,6 +150,7 @@ def test_three_scans_are_measured_signed_and_still_there_after_a_reload(page: Pa
     assert abs(check.deviation.value_um) < 0.15
 
 
+@pytest.mark.campaign
 def test_the_same_scan_twice_and_an_expired_certificate_are_refused_in_a_sentence(page: Page, folder: Path):
     begin(page)
     take_certificate(page, folder / "blocks.toml")

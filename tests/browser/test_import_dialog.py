@@ -130,6 +130,7 @@ def test_the_lines_of_a_text_are_chosen_in_the_dialog(serve: Callable[[FakeSessi
     expect(dialog.locator(".wv-imp-shown")).to_contain_text("4 × 12 points")
 
 
+@pytest.mark.campaign
 def test_a_grid_of_running_numbers_is_drawn_and_mirrored_with_one_click(
     serve: Callable[[FakeSession], Page], tmp_path: Path
 ) -> None:

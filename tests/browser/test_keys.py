@@ -98,6 +98,7 @@ def test_enter_answers_a_dialog_escape_leaves_it_and_no_key_reaches_behind_it(se
     eventually(lambda: "open_dataset" in verbs(session), "the dataset was opened")
 
 
+@pytest.mark.campaign
 def test_the_palette_lists_the_views_there_are_and_says_why_a_verb_is_not_possible(serve: Serve):
     session = fake.FakeSession(fake.measured())
     session.notebook.save_view(SavedView(name="The edge", position_mm=(0.1, -0.9, 0.8), look_at_mm=(0, 0, 0)))

@@ -137,6 +137,7 @@ def test_results_are_renamed_deleted_undone_and_redone(page: Page, session: Meas
     assert [f.name for f in session.snapshot.findings] == ["Face", "Grain"]
 
 
+@pytest.mark.campaign
 def test_a_click_on_a_result_flies_there_and_takes_its_tool(page: Page):
     take(page, "angle")
     keep(page, "Bevel")

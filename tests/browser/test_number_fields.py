@@ -104,6 +104,7 @@ def test_a_number_typed_over_another_replaces_it(serve: Serve, session: fake.Fak
         gets(session, float(typed))
 
 
+@pytest.mark.campaign
 def test_a_sign_is_what_it_reads_as(serve: Serve, session: fake.FakeSession):
     page = serve(session)
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])

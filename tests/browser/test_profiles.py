@@ -86,6 +86,7 @@ def test_lines_are_cut_read_compared_and_written(cutting: Page):
     expect(page.get_by_role("button", name="Remove line", exact=True)).to_be_disabled()
 
 
+@pytest.mark.campaign
 def test_the_plot_is_read_and_looked_into_by_hand(cutting: Page):
     page = cutting
     area = page.locator(".wv-zoom")

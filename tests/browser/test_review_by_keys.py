@@ -43,6 +43,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened.close()
 
 
+@pytest.mark.campaign
 def test_a_hundred_defects_are_reviewed_without_the_mouse_and_what_was_thought_is_on_the_disk(
     page: Page, session: Session
 ):

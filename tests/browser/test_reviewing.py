@@ -100,6 +100,7 @@ def test_several_are_selected_in_the_gallery_and_judged_with_one_key(serve: Call
     expect(page.locator(".wv-over-picture img")).to_have_count(3)
 
 
+@pytest.mark.campaign
 def test_a_filter_by_size_lists_what_is_as_large(serve: Callable[..., Page]):
     page = serve(inspected_session())
     page.keyboard.press("Shift+R")

@@ -57,6 +57,7 @@ def test_every_tool_for_shapes_answers_where_it_begins_and_is_found_again(page: 
     assert [finding.main.expanded is not None for finding in session.snapshot.findings] == [True] * len(TOLD)
 
 
+@pytest.mark.campaign
 def test_what_is_said_of_the_kerf_is_measured_with_at_once(page: Page):
     page.keyboard.press("Shift+U")
     expect(page.locator(".wv-answer")).to_contain_text("32.0")

@@ -178,6 +178,7 @@ def test_over_a_slow_line_coarse_tiles_come_first_and_clicks_are_answered_betwee
     at_rest(page, sent)
 
 
+@pytest.mark.campaign
 def test_a_page_reloaded_while_tiles_come_is_drawn_anew(address: str, sent: Sent, look_at: Callable[[str], Page]):
     page = look_at(address)
     go_to(page, "Surface")

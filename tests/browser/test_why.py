@@ -121,6 +121,7 @@ def test_escape_gives_the_scene_its_room_back(page: Page):
     expect(page.locator(FOCUS_PLOT)).to_have_count(0)
 
 
+@pytest.mark.campaign
 def test_what_cannot_be_read_stands_where_the_curve_would(page: Page, session: SeenSession):
     waits: Future[FocusCurve] = Future()
     session.answers.append(waits)

@@ -31,7 +31,7 @@ def printed(capsys, monkeypatch):
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_hidden_delay_is_found_signed_listed_and_in_force(printed, tmp_path):
     status, out, _ = printed("calibrate", "delay", "--rig", RIG, "--data", str(tmp_path), *QUICK)
     found = json.loads(out)

@@ -112,7 +112,7 @@ def test_within_its_limits_the_status_is_0(folder: Path, tmp_path: Path, capsys:
     assert [d.images[0].page for d in klarf.defects] == list(range(1, len(klarf.defects) + 1))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["measure", "defects", str(folder / "gap.npz"), *GIVEN]) == 1
     verdict = json.loads(capsys.readouterr().out)["verdict"]

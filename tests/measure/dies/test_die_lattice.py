@@ -228,7 +228,7 @@ def every_other_die_another(grey: int):
     return dataclasses.replace(surface, all_in_focus=np.where(other, np.uint8(grey), surface.all_in_focus))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_where_every_other_die_is_another_two_dies_repeat():
     assert find_dies(every_other_die_another(125), evidence="picture").pitch_x_um == pytest.approx(320.0, abs=0.1)
 
