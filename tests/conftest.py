@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from markupsafe import Markup
 
-from tests.support.campaigns import COMPLETE, SHARE, draw, drawn, examples
+from tests.support.campaigns import COMPLETE, SHARE, draw, drawn, examples, runs_always
 from tests.support.durations import RENEWS, recorded, renew
 from tests.support.patience import PATIENCE_S
 
@@ -40,7 +40,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if getattr(getattr(item, "function", None), "is_hypothesis_test", False):
             item.add_marker(pytest.mark.campaign(within=True))
-        if (campaign := item.get_closest_marker("campaign")) and not campaign.kwargs.get("within", False):
+        if not runs_always(item):
             item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: -recorded().get(item.nodeid.partition("::")[0], 0.0))
     now = drawn(items)
